@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import understudy_mujoco  # noqa: F401 # isort: skip - it chooses what draws before mujoco is imported
 import pytest
+import readers
 import torch
 from miniatures import make_stages
 from worlds import all_plugins
@@ -16,6 +19,7 @@ from worlds import all_plugins
 from understudy.setup.plugins import Plugins
 from understudy_characters.character import Character
 from understudy_humanoid.character import build_spec
+from understudy_mujoco import apart
 
 #: Real clips, for the tests that want some; skipped with a reason where there are none.
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -24,6 +28,9 @@ if _DATA.is_dir():
 
 torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 
+pytest.MonkeyPatch().setattr(
+    apart, "subprocess", SimpleNamespace(run=readers.run, TimeoutExpired=subprocess.TimeoutExpired)
+)
 
 gc.disable()  # of the million objects that imports make hardly one goes
 
@@ -50,6 +57,12 @@ def humanoid() -> Character:
 def built_on(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the runs that some of the miniatures build on."""
     return make_stages(tmp_path_factory.mktemp("stages"))
+
+
+@pytest.fixture
+def fresh_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What reads strangers' files is a fresh interpreter, no fork."""
+    monkeypatch.setattr(apart, "subprocess", subprocess)
 
 
 @pytest.fixture

@@ -160,6 +160,7 @@ def test_what_computes_or_allocates_without_end(
         load(tmp_path, f"<mujoco>{content}</mujoco>")
 
 
+@pytest.mark.usefixtures("fresh_readers")
 def test_what_ends_or_stops_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for command, reason in (("kill -SEGV $$", r"status -11"), ("exec sleep 60", "within 1 s")):
         (tmp_path / "python").write_text(f"#!/bin/sh\n{command}\n")
@@ -200,6 +201,7 @@ def test_a_model_is_tried_once_and_again_when_it_changed(
     assert len(tried) == 2
 
 
+@pytest.mark.usefixtures("fresh_readers")
 def test_nothing_of_the_working_folder_is_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -147,11 +147,12 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands, all of which are plugins'; only the one that is asked for is imported."""
+    """The commands, all of which are plugins'; only the one that is asked for is imported, and there alone."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")
-    for name in names:
+    asked = [name for name in names if name.split() == list(arguments[: len(name.split())])]
+    for name in asked or names:
         component = registry.find("command", name)
         *group, word = name.split()
         where = commands

@@ -173,6 +173,8 @@ class _Solver:
             moved = model.body_subtreemass[model.dof_bodyid]
             least = moved[_carrying(model, body)].min(initial=moved.max())
             self._cost = np.sqrt(np.maximum(moved, least) / least)
+        #: what draws to the poses of one step, by their order and weights: making it takes as long as its use
+        self._drawing: dict[tuple[int, float, float], mink.PostureTask] = {}
         self._hinges = [
             (int(model.jnt_qposadr[joint]), *model.jnt_range[joint])
             for joint in range(model.njnt)
@@ -284,8 +286,10 @@ class _Solver:
     ) -> list[mink.Task]:
         """What draws the joints to the poses `near`, each with its weight."""
         tasks: list[mink.Task] = []
-        for pose, weight in near:
-            task = mink.PostureTask(self._model, share * weight * self._cost)
-            task.set_target(pose)
-            tasks.append(task)
+        for number, (pose, weight) in enumerate(near):
+            key = number, share, weight
+            if key not in self._drawing:
+                self._drawing[key] = mink.PostureTask(self._model, share * weight * self._cost)
+            self._drawing[key].set_target(pose)
+            tasks.append(self._drawing[key])
         return tasks

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
@@ -90,6 +90,16 @@ class JacketScene(CutGarment):
         ConfigError
             if the cloth flies apart.
         """
-        moves = Moves(self, self.pose)
-        moves.hold(_HANGS, closed=(True,))
-        return moves.found()
+        return _hung(type(self), self.options)
+
+
+@lru_cache(maxsize=8)  # takes seconds, and training and evaluation ask for it
+def _hung(kind: type[JacketScene], options: JacketScene.Options) -> tuple[np.ndarray, np.ndarray]:
+    """:meth:`JacketScene.hung` of such a jacket, not to be written to."""
+    scene = kind(options)
+    moves = Moves(scene, scene.pose)
+    moves.hold(_HANGS, closed=(True,))
+    found = moves.found()
+    for array in found:
+        array.setflags(write=False)
+    return found

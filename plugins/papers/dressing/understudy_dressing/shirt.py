@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import mujoco
@@ -135,30 +135,43 @@ class ShirtScene(CutGarment):
         ConfigError
             if the cloth flies apart.
         """
-        moves = Moves(self)
-        holder: Side = "left" if side == "right" else "right"
-        arms = {"in_sleeve": {side: arm}, "dressed": {side: DRESSED}}.get(worn, {})
-        if other_dressed:
-            arms = {**arms, holder: DRESSED}
-        if arms:
-            pose = moves.bent(arms)
-            moves = Moves(self, pose, self._drawn_over(pose))
-        moves.hold(_SETTLES, closed=(False, False))
-        closed = tuple(name == holder for name in HOLDERS)
-        mirrored = np.array([1.0, -1.0 if holder == "left" else 1.0, 1.0])
-        if worn != "on_shoulders":
-            moves.reach(holder, moves.patch(holder), _GOES, (False, False))
-            moves.reach(holder, mirrored * _HELD_AT, _GOES, closed)
-        if worn == "tucked":
-            for place in _TUCKED_AT:  # up between body and hem, not around the hem
-                moves.reach(side, mirrored * place, _GOES, closed)
-        if worn != "on_shoulders":
-            moves.hold(_HANGS, closed)
-        return moves.found()
+        return _settled(type(self), self.options, worn, side, arm, other_dressed)
 
 
 #: Whose hand each grip is, in the model's order.
 HOLDERS: tuple[Side, Side] = ("right", "left")
+
+
+# takes seconds, and training, evaluation and each stage of a sequence ask for it
+@lru_cache(maxsize=16)
+def _settled(
+    kind: type[ShirtScene], options: ShirtScene.Options, worn: Worn, side: Side, arm: tuple[float, ...], other_dressed: bool
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """:meth:`ShirtScene.settled` of such a shirt, not to be written to."""
+    scene = kind(options)
+    moves = Moves(scene)
+    holder: Side = "left" if side == "right" else "right"
+    arms = {"in_sleeve": {side: arm}, "dressed": {side: DRESSED}}.get(worn, {})
+    if other_dressed:
+        arms = {**arms, holder: DRESSED}
+    if arms:
+        pose = moves.bent(arms)
+        moves = Moves(scene, pose, scene._drawn_over(pose))
+    moves.hold(_SETTLES, closed=(False, False))
+    closed = tuple(name == holder for name in HOLDERS)
+    mirrored = np.array([1.0, -1.0 if holder == "left" else 1.0, 1.0])
+    if worn != "on_shoulders":
+        moves.reach(holder, moves.patch(holder), _GOES, (False, False))
+        moves.reach(holder, mirrored * _HELD_AT, _GOES, closed)
+    if worn == "tucked":
+        for place in _TUCKED_AT:  # up between body and hem, not around the hem
+            moves.reach(side, mirrored * place, _GOES, closed)
+    if worn != "on_shoulders":
+        moves.hold(_HANGS, closed)
+    found = moves.found()
+    for array in found:
+        array.setflags(write=False)
+    return found
 
 
 class _Alone(ClothScene):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -108,19 +108,26 @@ class SleeveScene(GarmentScene):
 
     def settled(self, seconds: float = 1.0) -> np.ndarray:
         """(V, 3) m: as it hangs from a gripper at the origin after so many seconds (paper: 1), alone."""
-        scene = _Alone(self._with((Tool(()),)))
-        context = Context(
-            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.01, substeps=10, scene=scene,
-        )  # fmt: skip
-        options = ClothSimulator.Options(self_contact=False)
-        simulator = ClothSimulator(options, context)
-        closed = torch.zeros(1, simulator.control_size)
-        closed[:, -1] = 1.0
-        for _ in range(round(seconds / context.control_dt)):
-            simulator.step(closed)
-        if bool(simulator.failed().any()):
-            raise ConfigError("The sleeve flies apart where it hangs: choose another fabric.")
-        return simulator.read("cloth_position")[0].numpy().astype(np.float64)
+        return _settled(type(self), self.options, seconds)
+
+
+@lru_cache(maxsize=8)  # training and evaluation ask for it
+def _settled(kind: type[SleeveScene], options: SleeveScene.Options, seconds: float) -> np.ndarray:
+    """:meth:`SleeveScene.settled` of such a sleeve, not to be written to."""
+    scene = _Alone(kind(options)._with((Tool(()),)))
+    context = Context(
+        seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.01, substeps=10, scene=scene,
+    )  # fmt: skip
+    simulator = ClothSimulator(ClothSimulator.Options(self_contact=False), context)
+    closed = torch.zeros(1, simulator.control_size)
+    closed[:, -1] = 1.0
+    for _ in range(round(seconds / context.control_dt)):
+        simulator.step(closed)
+    if bool(simulator.failed().any()):
+        raise ConfigError("The sleeve flies apart where it hangs: choose another fabric.")
+    found = simulator.read("cloth_position")[0].numpy().astype(np.float64)
+    found.setflags(write=False)
+    return found
 
 
 class _Alone(ClothScene):

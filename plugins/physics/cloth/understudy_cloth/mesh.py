@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache, wraps
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -17,10 +20,33 @@ SHARED_VERTICES = 3920
 WEIGHTED_VERTICES = 2944
 #: Threads that a GPU serves at once where each reads 16 bytes, and banks of so many.
 _BANKS = 8
+_NEVER = 1 << 40  #: a cost beyond all
 #: An edge this much longer than the other edges of its triangles is the diagonal of a quadrilateral.
 _DIAGONAL = 1.2
 #: Vertices nearer than this along the cloth, in thicknesses, never touch each other.
 _APART = 1.6
+
+T = TypeVar("T", "Distances", "Hinges")
+
+
+def once_each(
+    find: Callable[[np.ndarray, np.ndarray], T],
+) -> Callable[[np.ndarray, np.ndarray], T]:
+    """`find`, of triangles (F, 3) and their corners, worked out once for those last asked for: training, evaluation and
+    settling ask for the same garment. What it returns cannot be written to."""
+
+    @lru_cache(maxsize=8)
+    def found(*arrays: tuple[bytes, np.dtype, tuple[int, ...]]) -> T:
+        result = find(*(np.frombuffer(b, dtype).reshape(shape) for b, dtype, shape in arrays))
+        for array in vars(result).values():
+            array.setflags(write=False)
+        return result
+
+    @wraps(find)
+    def asked(faces: np.ndarray, corners: np.ndarray) -> T:
+        return found(*((a.tobytes(), a.dtype, a.shape) for a in (faces, corners)))
+
+    return asked
 
 
 @dataclass(frozen=True)
@@ -58,6 +84,7 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges, index.reshape(-1, 3)
 
 
+@once_each
 def distances_of(faces: np.ndarray, corners: np.ndarray) -> Distances:
     """The edges of triangles `faces` (F, 3) whose rest shape has the `corners` (F, 3, 2 or 3).
 
@@ -86,6 +113,7 @@ def distances_of(faces: np.ndarray, corners: np.ndarray) -> Distances:
     return Distances(edges[order], length[order], unit[order], first, np.array(kinds))
 
 
+@once_each
 def hinges_of(faces: np.ndarray, corners: np.ndarray) -> Hinges:
     """The edges with two triangles, and how each resists bending: E = ½ B / (A_1 + A_2) |Σ weight_i x_i|²,
     quadratic, for cloth that is flat at rest and hardly stretches (Bergou et al. 2006, A quadratic bending
@@ -176,21 +204,25 @@ def spread(order: np.ndarray, colours: np.ndarray, groups: np.ndarray) -> np.nda
     shared memory as a greedy choice attains: a GPU reads 16 bytes for 8 threads at once if no two of their
     vertices are the same modulo 8. Within a colour no vertex is another's, so the order changes no result."""
     found = np.empty_like(order)
-    bank = groups % _BANKS
-    columns = np.arange(groups.shape[1])
+    columns = groups.shape[1]
+    bank = groups % _BANKS + _BANKS * np.arange(columns)  # of all columns' banks, counted through
     done = 0
     for count in np.bincount(colours):
-        left, met = order[done : done + count], np.zeros((groups.shape[1], _BANKS), int)
+        left = order[done : done + count]
+        banks, met = bank[left], np.zeros((columns, _BANKS), int)
+        taken = np.zeros(count, int)
         for place in range(count):
             if place % _BANKS == 0:
                 met[:] = 0
+                keep = np.flatnonzero(taken == 0)
+                left, banks, taken = left[keep], banks[keep], taken[keep]
             # what each would add to the most that meet in a bank, by columns
-            meets = met[columns, bank[left]]
-            cost = np.maximum(meets + 1 - met.max(axis=1), 0).sum(axis=1) * 64 + meets.sum(axis=1)
+            adds = np.maximum(met + 1 - met.max(axis=1, keepdims=True), 0) * 64 + met
+            cost = adds.ravel()[banks].sum(axis=1) + taken
             best = int(cost.argmin())
             found[done + place] = left[best]
-            met[columns, bank[left[best]]] += 1
-            left = np.delete(left, best)
+            met.ravel()[banks[best]] += 1
+            taken[best] = _NEVER
         done += count
     return found
 

@@ -7,7 +7,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import cache
 from typing import Any
 
 import warp as wp
@@ -18,6 +19,9 @@ __all__ = ["compile_kernels"]
 _QUIET, _PAUSE = 3.0, 10.0
 #: Threads; each takes some hundred MB.
 _MOST = 32
+#: So many modules compile on one thread: for a CPU, each thread first compiles Warp's headers, which takes 1.7 s, as
+#: long as a module or two, and keeps them as long as it lives.
+_FEW = 3
 
 
 def compile_kernels(work: Callable[[], None], device: Any) -> None:
@@ -34,7 +38,11 @@ def compile_kernels(work: Callable[[], None], device: Any) -> None:
     """
     modules = list(_modules_of(work))
     began = time.monotonic()
-    with ThreadPoolExecutor(min(_MOST, os.cpu_count() or 1)) as pool:
+    with ExitStack() as stack:
+        if wp.get_device(device).is_cpu and len(modules) <= _FEW:
+            pool = _one_thread(os.getpid())
+        else:
+            pool = stack.enter_context(ThreadPoolExecutor(min(_MOST, os.cpu_count() or 1)))
         waiting: set[Future[None]] = {
             pool.submit(wp.force_load, device, [module], block_dim, 0)
             for module, block_dim in modules
@@ -47,6 +55,12 @@ def compile_kernels(work: Callable[[], None], device: Any) -> None:
             if waiting:
                 _tell(time.monotonic() - began, len(modules) - len(waiting), len(modules))
                 pause = _PAUSE
+
+
+@cache
+def _one_thread(process: int) -> ThreadPoolExecutor:
+    """A thread that lives as long as this `process`: a fork has none of its threads."""
+    return ThreadPoolExecutor(1)
 
 
 def _tell(seconds: float, ready: int, count: int) -> None:

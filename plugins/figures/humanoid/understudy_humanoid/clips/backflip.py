@@ -12,6 +12,7 @@ forces and torques on the body are as well explained by the feet, as the motion 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -103,18 +104,23 @@ def generated_backflip(
     ConfigError
         a parameter is outside its range.
     """
-    motion = figure.grid("backflip", END, frame_rate)
-    times = motion.times
-    goal = _centre_of_mass(times)
-    legs = _legs(times, stands=float(goal[-1, 0]))
-    somersault = _Somersault(times, goal, _upper_body(times), legs)
-    clip = figure.make_clip("backflip", motion, *somersault.motion())
+    clip = _clip(frame_rate)
     if not key_poses:
         return clip
     half = 0.5 * (OFF + TUCK)
     return figure.only_key_poses(
         clip, [0.0, CROUCH, OFF, half, TUCK, HOLD, OPEN, ON, DEEP, clip.duration]
     )
+
+
+@lru_cache(maxsize=8)  # takes long, and each part of a run asks for it anew
+def _clip(frame_rate: float) -> Clip:
+    motion = figure.grid("backflip", END, frame_rate)
+    times = motion.times
+    goal = _centre_of_mass(times)
+    legs = _legs(times, stands=float(goal[-1, 0]))
+    somersault = _Somersault(times, goal, _upper_body(times), legs)
+    return figure.make_clip("backflip", motion, *somersault.motion())
 
 
 class _Somersault:

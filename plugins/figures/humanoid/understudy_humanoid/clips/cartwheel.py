@@ -11,6 +11,7 @@ body are as well explained by hands and feet as the motion allows.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -106,6 +107,18 @@ def generated_cartwheel(
     ConfigError
         a parameter is outside its range.
     """
+    clip = _clip(frame_rate)
+    if side == "right":
+        clip = mirrored(clip)
+    if not key_poses:
+        return clip
+    half = [0.0, _STEP, END - _BACK, _HAND_DOWN, _KICK]
+    return only_key_poses(clip, [*half, MIDDLE, *(clip.duration - time for time in half[::-1])])
+
+
+@lru_cache(maxsize=8)  # takes long, and each part of a run asks for it anew
+def _clip(frame_rate: float) -> Clip:
+    """To the left."""
     motion = grid("cartwheel", END, frame_rate)
     times = motion.times
     first = np.array(_TRUNK)
@@ -124,13 +137,7 @@ def generated_cartwheel(
         return pose
 
     root, pose = carried(np.stack([np.zeros_like(y), y, z], axis=1), build, axes=(0,))
-    clip = make_clip("cartwheel", motion, root, pose)
-    if side == "right":
-        clip = mirrored(clip)
-    if not key_poses:
-        return clip
-    half = [0.0, _STEP, END - _BACK, _HAND_DOWN, _KICK]
-    return only_key_poses(clip, [*half, MIDDLE, *(clip.duration - time for time in half[::-1])])
+    return make_clip("cartwheel", motion, root, pose)
 
 
 def _legs(times: Array) -> tuple[PlantedLeg, PlantedLeg]:

@@ -107,7 +107,7 @@ def generated_stand(
     return _clip("stand", seat_height, seconds, frame_rate, _RISING, backwards=True)
 
 
-@lru_cache(maxsize=8)  # takes long, and each part of a run asks for it anew
+@lru_cache(maxsize=32)  # takes long, and each part of a run asks for it anew
 def _clip(
     name: str,
     seat_height: float,

@@ -74,7 +74,7 @@ def generated_turn_right(
     return _turn("turn_right", "right", angle, seconds, frame_rate)
 
 
-@lru_cache(maxsize=8)  # takes long, and each part of a run asks for it anew
+@lru_cache(maxsize=32)  # takes long, and each part of a run asks for it anew
 def _turn(name: str, inside: figure.Side, angle: float, seconds: float, frame_rate: float) -> Clip:
     figure.check(name, 0.2, 2.0 * math.pi, angle=angle)
     pairs = math.ceil(angle / _LARGEST_STEP - 1e-9)
