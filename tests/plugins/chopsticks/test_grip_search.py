@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from understudy.errors import ConfigError
@@ -11,6 +15,8 @@ from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
 from understudy_gripping.grip import CandidateOptions, GripOptions, build_grips
 from understudy_gripping.styles import styles, written
+from understudy_reproduce.comparison import found_by
+from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 
 TWO = ("11120", "11200")
@@ -58,7 +64,7 @@ def test_each_style_learns_from_its_own_scores() -> None:
     both.tell(report(third, 0.3))
     assert both.ask(6) is None
     assert both.share == 5 / 6
-    assert {row["style"] for row in both.summary() if row["found"] == "answer"} == set(TWO)
+    assert {row["search"] for row in both.summary() if row["found"] == "answer"} == set(TWO)
 
 
 def test_a_style_without_a_feasible_candidate_ends_nothing() -> None:
@@ -69,7 +75,7 @@ def test_a_style_without_a_feasible_candidate_ends_nothing() -> None:
         search.tell(report(trial, 0.4 if feasible else None, 100.0 if feasible else 0.0))
     assert search.ask(8) is None
     best = [row for row in search.summary() if row["found"] == "answer"]
-    assert [row["style"] for row in best] == ["11120"]
+    assert [row["search"] for row in best] == ["11120"]
 
 
 def test_a_search_in_which_nothing_begins_says_so() -> None:
@@ -165,11 +171,47 @@ def test_each_style_of_a_job_is_told_its_own_score() -> None:
         search.tell(joint(trial, without="s11200" if number == 1 else ""))
     assert search.ask(4) is None
     assert search.share == 1.0
-    rows = [row for row in search.summary() if row["style"] == "11200"]
+    rows = [row for row in search.summary() if row["search"] == "11200"]
     assert [row["status"] for row in rows] == ["ok", "failed", "ok", "ok"]
     assert [row["samples"] for row in rows] == [50.0, 0.0, 50.0, 50.0]
     for row in rows:
         assert row["objective"] is None or row["objective"] == row["grip.places.thumb"]
+
+
+def test_a_job_ends_once_each_that_holds_has_had_its_samples() -> None:
+    """Of two, one of which has no world."""
+    search, patient = made(together=2, samples=100), made(together=2)
+    trial = asked(search, 0)
+    asked(patient, 0)
+
+    def running(cost: float, *scores: float) -> Report:
+        measures = {"score_s11120": scores[0], "score_s11200": scores[1]}
+        return Report(trial.key, "running", 0.1, measures, cost)
+
+    assert search.tell(running(99, 0.1, math.nan)) is None
+    assert search.tell(running(100, 0.1, math.nan)) == "stop"
+    assert search.tell(running(199, 0.1, 0.2)) is None
+    assert search.tell(running(200, 0.1, 0.2)) == "stop"
+    assert patient.tell(running(200, 0.1, 0.2)) is None
+    assert search.tell(joint(trial)) is None
+
+
+def test_what_styles_found_is_compared_by_style(tmp_path: Path) -> None:
+    """Of a search whose rounds are one job each."""
+    search, journal = made(together=2), Journal(tmp_path / "journal.jsonl")
+    for number in range(4):
+        trial = asked(search, number)
+        journal.ask(trial)
+        journal.tell(joint(trial, without="s11200" if number == 1 else ""))
+    found = found_by(made(together=2), journal, 5)
+    assert list(found) == list(TWO)
+    for style, one in found.items():
+        scores = [t.point[f"grip.candidates.s{style}.places.thumb"] for t in journal.asked]
+        if style == "11200":
+            scores[1] = scores[0]  # it had none
+        assert one.curve[:, 1].tolist() == np.maximum.accumulate(scores).tolist()
+        assert (one.seed, one.finished, len(one.curve)) == (5, True, 4)
+    assert [one.spent for one in found.values()] == [250.0, 150.0]
 
 
 def test_a_search_of_jobs_goes_on_as_it_would_have() -> None:
