@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
 from understudy_gripping.grip import CandidateOptions, GripOptions, build_grips
 from understudy_gripping.styles import styles, written
+from understudy_hand.scene import HandScene
 from understudy_reproduce.comparison import found_by
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
@@ -131,7 +133,26 @@ def test_places_that_are_none(options: dict[str, object], said: str, plugins: Pl
 def test_a_candidate_out_of_reach_is_refused_before_any_training(plugins: Plugins) -> None:
     far = GripOptions(style="11200", places={"thumb": 0.12, "index": -0.12, "middle": -0.12})
     with pytest.raises(ConfigError, match="mm are left between a stick and what shall touch it"):
-        build_grips(far, plugins.registry, Inputs())
+        build_grips(far, plugins.registry, Inputs()).in_hand(HandScene(HandScene.Options()))
+
+
+@pytest.mark.parametrize(
+    ("style", "hand", "said"),
+    [
+        ("112", {}, "112 is not possible: it has 3 entries and the hand 5 fingers. A hand of 5 fingers has: 10012"),
+        ("1112", {}, "it has 4 entries and the hand 5 fingers"),
+        ("11120", {"fingers": 3}, "it has 5 entries and the hand 3 fingers"),
+        ("11120", {"size": 2.0}, "finds a grip of the human hand, and the scene's is another one"),
+        ("11120", {"tool": "tongs"}, "is of two sticks, and the scene has tongs"),
+    ],
+)  # fmt: skip
+def test_a_style_of_another_hand_is_refused_before_it_is_searched_for(
+    style: str, hand: dict[str, Any], said: str, plugins: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("understudy_gripping.grip.find_grip", None)
+    asked_for = build_grips(GripOptions(style=style), plugins.registry, Inputs())
+    with pytest.raises(ConfigError, match=said):
+        asked_for.in_hand(HandScene(HandScene.Options(**hand)))
 
 
 def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:

@@ -159,7 +159,7 @@ def gripping(context: Context, who: str) -> Gripping:
     """The task's, from the config section ``grip``."""
     scene = context.need_scene(HandScene, who)
     grips = context.need_section("grip", Grips, who)
-    return context.once("gripping", lambda: Gripping(grips, scene, context))
+    return context.once("gripping", lambda: Gripping(grips.in_hand(scene), scene, context))
 
 
 def angle_at(amplitude: Tensor, rate: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
