@@ -48,7 +48,7 @@ MOST_HELD = 4
 _VERSION = 1
 _LARGEST = 1 << 20
 #: The name of a grip that has the job for itself.
-_ONLY = "grip"
+ONLY = "grip"
 _TOOLS = {"sticks": "two sticks", "tongs": "tongs", "brush": "a brush", "none": "no tool"}
 _THE = {"sticks": "the sticks", "tongs": "the tongs", "brush": "the brush"}
 #: In the folder of a run, beside the grips that were found for it: what is against the others.
@@ -414,7 +414,7 @@ def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Gri
     if options.candidates:
         return _found(options.candidates, inputs)
     if options.style is not None:
-        return _found({_ONLY: CandidateOptions(options.style, options.places)}, inputs)
+        return _found({ONLY: CandidateOptions(options.style, options.places)}, inputs)
     if (given := options.file) is not None:
         path = inputs.file(f"grip.file={given}", lambda: [Path(given)])
     else:
@@ -424,7 +424,7 @@ def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Gri
                 f"There is no grip '{options.name}'.{suggestion(options.name, known)}"
             )
         path = registry.find("grip", options.name).factory()
-    return Grips({_ONLY: load_grip(path)})
+    return Grips({ONLY: load_grip(path)})
 
 
 def _candidate(options: CandidateOptions) -> Candidate:
