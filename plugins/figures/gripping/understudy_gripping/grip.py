@@ -48,7 +48,7 @@ MOST_HELD = 4
 _VERSION = 1
 _LARGEST = 1 << 20
 #: The name of a grip that has the job for itself.
-ONLY = "grip"
+_ONLY = "grip"
 _TOOLS = {"sticks": "two sticks", "tongs": "tongs", "brush": "a brush", "none": "no tool"}
 _THE = {"sticks": "the sticks", "tongs": "the tongs", "brush": "the brush"}
 #: In the folder of a run, beside the grips that were found for it: what is against the others.
@@ -366,6 +366,11 @@ class Grips:
     #: Finds them once the hand is known, where they are asked for by style.
     find: Callable[[HandScene], Grips] | None = None
 
+    @property
+    def are_candidates(self) -> bool:
+        """Whether they were asked for by name to share a job; that one is left of them changes nothing."""
+        return tuple(self.by_name) != (_ONLY,) or bool(self.against)
+
     def in_hand(self, scene: HandScene) -> Grips:
         """These, which are found now if they were not yet.
 
@@ -414,7 +419,7 @@ def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Gri
     if options.candidates:
         return _found(options.candidates, inputs)
     if options.style is not None:
-        return _found({ONLY: CandidateOptions(options.style, options.places)}, inputs)
+        return _found({_ONLY: CandidateOptions(options.style, options.places)}, inputs)
     if (given := options.file) is not None:
         path = inputs.file(f"grip.file={given}", lambda: [Path(given)])
     else:
@@ -424,7 +429,7 @@ def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Gri
                 f"There is no grip '{options.name}'.{suggestion(options.name, known)}"
             )
         path = registry.find("grip", options.name).factory()
-    return Grips({ONLY: load_grip(path)})
+    return Grips({_ONLY: load_grip(path)})
 
 
 def _candidate(options: CandidateOptions) -> Candidate:

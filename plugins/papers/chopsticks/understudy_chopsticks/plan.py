@@ -20,7 +20,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
-from understudy_gripping.grip import ONLY, Grip, Grips
+from understudy_gripping.grip import Grip, Grips
 from understudy_gripping.hold import hold, placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
@@ -47,7 +47,7 @@ class Gripping:
         self.grips = list(grips.by_name.values())
         self.groups = Groups(self.names, context, tuple(grips.against))
         #: Whether the job is one of candidates, so that a world has to say whose it is; one may be left of them.
-        self.several = self.names != (ONLY,) or bool(grips.against)
+        self.several = grips.are_candidates
         first, device = self.grips[0], context.device
         for name, grip in grips.by_name.items():
             grip.need(scene)
