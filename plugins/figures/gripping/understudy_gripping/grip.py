@@ -380,7 +380,8 @@ class Grips:
             none holds the sticks, or they are for another hand than that of `scene`.
         """
         if self.find is not None:
-            found = self.find(scene)
+            with torch.inference_mode(False), torch.enable_grad():  # whoever only plays needs none
+                found = self.find(scene)
             self.by_name, self.against, self.find = found.by_name, found.against, None
         return self
 
