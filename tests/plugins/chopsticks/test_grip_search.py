@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pytest
+import torch
 
 from understudy.errors import ConfigError
 from understudy.inputs import Inputs
@@ -11,6 +17,9 @@ from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
 from understudy_gripping.grip import CandidateOptions, GripOptions, build_grips
 from understudy_gripping.styles import styles, written
+from understudy_hand.scene import HandScene
+from understudy_reproduce.comparison import found_by
+from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 
 TWO = ("11120", "11200")
@@ -58,7 +67,7 @@ def test_each_style_learns_from_its_own_scores() -> None:
     both.tell(report(third, 0.3))
     assert both.ask(6) is None
     assert both.share == 5 / 6
-    assert {row["style"] for row in both.summary() if row["found"] == "answer"} == set(TWO)
+    assert {row["search"] for row in both.summary() if row["found"] == "answer"} == set(TWO)
 
 
 def test_a_style_without_a_feasible_candidate_ends_nothing() -> None:
@@ -69,7 +78,7 @@ def test_a_style_without_a_feasible_candidate_ends_nothing() -> None:
         search.tell(report(trial, 0.4 if feasible else None, 100.0 if feasible else 0.0))
     assert search.ask(8) is None
     best = [row for row in search.summary() if row["found"] == "answer"]
-    assert [row["style"] for row in best] == ["11120"]
+    assert [row["search"] for row in best] == ["11120"]
 
 
 def test_a_search_in_which_nothing_begins_says_so() -> None:
@@ -124,8 +133,28 @@ def test_places_that_are_none(options: dict[str, object], said: str, plugins: Pl
 
 def test_a_candidate_out_of_reach_is_refused_before_any_training(plugins: Plugins) -> None:
     far = GripOptions(style="11200", places={"thumb": 0.12, "index": -0.12, "middle": -0.12})
-    with pytest.raises(ConfigError, match="mm are left between a stick and what shall touch it"):
-        build_grips(far, plugins.registry, Inputs())
+    said = "mm are left between a stick and what shall touch it"
+    with torch.no_grad(), pytest.raises(ConfigError, match=said):  # as what is played is built
+        build_grips(far, plugins.registry, Inputs()).in_hand(HandScene(HandScene.Options()))
+
+
+@pytest.mark.parametrize(
+    ("style", "hand", "said"),
+    [
+        ("112", {}, "112 is not possible: it has 3 entries and the hand 5 fingers. A hand of 5 fingers has: 10012"),
+        ("1112", {}, "it has 4 entries and the hand 5 fingers"),
+        ("11120", {"fingers": 3}, "it has 5 entries and the hand 3 fingers"),
+        ("11120", {"size": 2.0}, "finds a grip of the human hand, and the scene's is another one"),
+        ("11120", {"tool": "tongs"}, "is of two sticks, and the scene has tongs"),
+    ],
+)  # fmt: skip
+def test_a_style_of_another_hand_is_refused_before_it_is_searched_for(
+    style: str, hand: dict[str, Any], said: str, plugins: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("understudy_gripping.grip.find_grip", None)
+    asked_for = build_grips(GripOptions(style=style), plugins.registry, Inputs())
+    with pytest.raises(ConfigError, match=said):
+        asked_for.in_hand(HandScene(HandScene.Options(**hand)))
 
 
 def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:
@@ -165,11 +194,47 @@ def test_each_style_of_a_job_is_told_its_own_score() -> None:
         search.tell(joint(trial, without="s11200" if number == 1 else ""))
     assert search.ask(4) is None
     assert search.share == 1.0
-    rows = [row for row in search.summary() if row["style"] == "11200"]
+    rows = [row for row in search.summary() if row["search"] == "11200"]
     assert [row["status"] for row in rows] == ["ok", "failed", "ok", "ok"]
     assert [row["samples"] for row in rows] == [50.0, 0.0, 50.0, 50.0]
     for row in rows:
         assert row["objective"] is None or row["objective"] == row["grip.places.thumb"]
+
+
+def test_a_job_ends_once_each_that_holds_has_had_its_samples() -> None:
+    """Of two, one of which has no world."""
+    search, patient = made(together=2, samples=100), made(together=2)
+    trial = asked(search, 0)
+    asked(patient, 0)
+
+    def running(cost: float, *scores: float) -> Report:
+        measures = {"score_s11120": scores[0], "score_s11200": scores[1]}
+        return Report(trial.key, "running", 0.1, measures, cost)
+
+    assert search.tell(running(99, 0.1, math.nan)) is None
+    assert search.tell(running(100, 0.1, math.nan)) == "stop"
+    assert search.tell(running(199, 0.1, 0.2)) is None
+    assert search.tell(running(200, 0.1, 0.2)) == "stop"
+    assert patient.tell(running(200, 0.1, 0.2)) is None
+    assert search.tell(joint(trial)) is None
+
+
+def test_what_styles_found_is_compared_by_style(tmp_path: Path) -> None:
+    """Of a search whose rounds are one job each."""
+    search, journal = made(together=2), Journal(tmp_path / "journal.jsonl")
+    for number in range(4):
+        trial = asked(search, number)
+        journal.ask(trial)
+        journal.tell(joint(trial, without="s11200" if number == 1 else ""))
+    found = found_by(made(together=2), journal, 5)
+    assert list(found) == list(TWO)
+    for style, one in found.items():
+        scores = [t.point[f"grip.candidates.s{style}.places.thumb"] for t in journal.asked]
+        if style == "11200":
+            scores[1] = scores[0]  # it had none
+        assert one.curve[:, 1].tolist() == np.maximum.accumulate(scores).tolist()
+        assert (one.seed, one.finished, len(one.curve)) == (5, True, 4)
+    assert [one.spent for one in found.values()] == [250.0, 150.0]
 
 
 def test_a_search_of_jobs_goes_on_as_it_would_have() -> None:

@@ -275,6 +275,13 @@ def test_episodes_begin_in_every_direction_and_at_rest(plugins: Plugins) -> None
 # ------------------------------------------------------------------ several grips in one job
 
 
+def test_the_last_candidate_of_a_job_says_whose_its_worlds_are(grip: Grip) -> None:
+    """Or the measure that judges it would read nothing; a grip that is no candidate says nothing."""
+    scene = HandScene(HandScene.Options())
+    assert Gripping(Grips({"s11120": grip}), scene, alone()).several
+    assert not Gripping(Grips({"grip": grip}), scene, alone()).several
+
+
 def test_each_world_has_its_own_grip(grip: Grip) -> None:
     """Of a style with fewer fingers; those that touch nothing are nowhere from their places."""
     other = replace(

@@ -757,6 +757,7 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["initial_states.shift=[0.0, 0.07]"], "from -0.06 to 0.06 m"),
         (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
         (["scene.below={kind: box, sizes: [0.03, 0.02, 0.02]}"], "none of table 5.2"),
+        (["scene.below={kind: sphere, sizes: [0.01]}"], "Nothing stays upon a sphere"),
         (["scene.above={kind: box, sizes: [0.01, 0.01, 0.01]}"], "Nothing lies upon a sphere"),
         (["initial_states.thrown=true", "initial_states.relocations=2"], "lands out of reach"),
         (["initial_states.thrown=true", "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"], "takes one object alone"),

@@ -230,6 +230,16 @@ def test_bad_words_are_one_sentence_and_nothing_is_written(
     assert not file.exists()
 
 
+@pytest.mark.parametrize("file", ["nosuch/grip.json", "."])
+def test_a_file_that_cannot_be_written_is_told_before_the_search(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("understudy_gripping.command.find_grip", None)
+    assert main(["grip", "11120", file]) == 2
+    assert "cannot be written: it is a folder, or in none" in capsys.readouterr().err
+
+
 # ------------------------------------------------------------------ other tools
 
 

@@ -144,7 +144,7 @@ def search(tmp_path: Path, *events: Trial | Report) -> Found:
         Trial(e.key, point=point, fidelity=e.fidelity) if isinstance(e, Trial) else e
         for e in journal.events
     ]
-    return found_by(load_experiment(options).need("outer_loop").build(0), journal, 7)
+    return found_by(load_experiment(options).need("outer_loop").build(0), journal, 7)[""]
 
 
 def test_the_best_is_of_whole_trials_in_the_order_in_which_they_ended(tmp_path: Path) -> None:

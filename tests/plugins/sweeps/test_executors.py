@@ -95,9 +95,22 @@ def test_a_defect_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("device", "workers"), [("cuda", 1), ("cpu", len(os.sched_getaffinity(0)))]
 )
-def test_workers_by_default(device: str, workers: int, tmp_path: Path) -> None:
+def test_workers_by_default(
+    device: str, workers: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One on a GPU, which one training fills."""
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
     assert make("processes", Work((), str(tmp_path), device)).free() == workers
+
+
+@pytest.mark.parametrize("name", ["in_process", "processes"])
+def test_a_gpu_that_is_not_here_is_no_finding(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is refused before a trial is asked for, or a search would go on with its failure."""
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(ConfigError, match="device=cuda:1, but torch sees no CUDA GPU here"):
+        make(name, Work((), str(tmp_path), "cuda:1"))
 
 
 #: The trial's seed is the GPU that its own process sees.

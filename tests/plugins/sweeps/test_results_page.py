@@ -227,6 +227,30 @@ def test_a_search_without_a_whole_trial_has_no_answer(search: tuple[Path, Journa
     assert "so there is no answer" in (folder / "page.md").read_text()
 
 
+def test_candidates_that_share_a_job_have_a_row_each(tmp_path: Path) -> None:
+    """With its own score, and none of what was measured of all together."""
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.ask(Trial("job0", point={"at.c0.x": 1.0, "at.c1.x": 2.0}))
+    journal.tell(Report("job0", "ok", 0.9, {"success_rate": 1.0, "score_c0": 0.3}, 100.0))
+    journal.ask(Trial("job1", point={"at.c0.x": 3.0, "at.c1.x": 4.0}))
+    done = {"job": "job0", "whole": True, "at.CANDIDATE.x": 1.0, "fidelity": None}
+    summary = [
+        {**done, "trial": "trial0", "status": "ok", "objective": 0.3, "y": 0.3, "samples": 100.0, "found": "answer"},
+        {**done, "trial": "trial1", "status": "failed", "objective": None, "y": None, "samples": 0.0, "at.CANDIDATE.x": 2.0},
+        {**done, "trial": "trial2", "status": "running", "objective": None, "y": None, "samples": None, "job": "job1"},
+    ]  # fmt: skip
+    results = Results(tmp_path).of(journal, summary)
+    table = tables.trials(results)
+    assert "at.CANDIDATE.x" in table.heads
+    assert "success" not in table.heads
+    rows = {row[0]: dict(zip(table.heads, row, strict=True)) for row in table.rows}
+    assert rows["trial0"]["objective"] == "0.3"
+    assert rows["trial1"]["ended by"] == "failed: it could not begin in its job."
+    assert rows["trial2"]["ended by"] == "unfinished"
+    assert page_module._tiles(results) == [Tile("job0", folder_of("job0", tmp_path))]
+    assert "best 0.3 (trial0)" in describe(journal, (), 1, summary)
+
+
 def test_progress_in_words(search: tuple[Path, Journal]) -> None:
     plan = [f"t{i}" for i in range(6)]
     assert describe(search[1], plan, 2) == "4 of 6 done · 2 running · 1 failed · best 0.7 (t2)"

@@ -18,7 +18,7 @@ from counted_task import LINE_TASK, Starts, install, line_plugins
 from torch import Tensor
 
 from understudy.command.cli import main
-from understudy.errors import ConfigError, RunError, TrainingError, UnderstudyError
+from understudy.errors import ConfigError, FileError, RunError, TrainingError, UnderstudyError
 from understudy.random import WorldStreams
 from understudy.running.training import Training
 from understudy.task import Context
@@ -344,6 +344,27 @@ def test_a_damaged_mark_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "sweep.json").write_text(content)
     with pytest.raises(RunError, match=r"sweep\.json is damaged"):
         sweep(tmp_path, TWO)
+
+
+def test_a_variant_whose_file_is_missing_is_no_finding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sweep ends, and goes on with it once the file is there."""
+
+    def missing(self: Training) -> Training:
+        if self.experiment.need("learner").options.rate == 2:
+            raise FileError("There is no grip at nosuch.json.")
+        return prepare(self)
+
+    prepare = Training.prepare
+    monkeypatch.setattr(Training, "prepare", missing)
+    with pytest.raises(
+        ConfigError, match=r"Variant 'fast' cannot begin: There is no grip at nosuch"
+    ):
+        sweep(tmp_path, TWO)
+    monkeypatch.setattr(Training, "prepare", prepare)
+    sweep(tmp_path, TWO)
+    assert events(tmp_path) == WHOLE
 
 
 def test_a_trial_that_fails_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

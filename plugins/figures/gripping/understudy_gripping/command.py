@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, FileError
 from understudy.setup.composition import load_experiment
 from understudy_gripping.grip import FORCE, find_grip, search_grip
 from understudy_gripping.holding import holding
@@ -92,6 +92,10 @@ class FindGrip(Command):
             )
         if not all(abs(place) <= HALF_LENGTH for place in places):
             raise ConfigError("--places are mm from the middle of a stick, between -130 and 130.")
+        if options.file.is_dir() or not options.file.parent.is_dir():  # not after minutes of search
+            raise FileError(
+                f"{options.file} cannot be written: it is a folder, or in none. Name a file in a folder that is there."
+            )
         scene = HandScene(chosen)
         if options.tries:
             grip = search_grip(

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -28,7 +28,7 @@ from understudy_gripping.balance import Balance, balance
 from understudy_gripping.hold import Held, hold, placed
 from understudy_gripping.holding import holding
 from understudy_gripping.pose import Candidate, Poses, PoseSolver
-from understudy_gripping.styles import Style, read_style, written
+from understudy_gripping.styles import Style, check_style, read_style, written
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE, FEWEST, FINGERS, Measures
 from understudy_hand.tools import GRIPPERS, HALF_LENGTH, Tool, upper_pose
@@ -356,13 +356,34 @@ def _numbers(values: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.nd
     return found.astype(np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Grips:
     """What the config section ``grip`` gives: one grip, or several that share one job."""
 
-    by_name: Mapping[str, Grip]
+    by_name: Mapping[str, Grip] = field(default_factory=dict)
     #: Those that are none, and what is against each.
     against: Mapping[str, str] = field(default_factory=dict)
+    #: Finds them once the hand is known, where they are asked for by style.
+    find: Callable[[HandScene], Grips] | None = None
+
+    @property
+    def are_candidates(self) -> bool:
+        """Whether they were asked for by name to share a job; that one is left of them changes nothing."""
+        return tuple(self.by_name) != (_ONLY,) or bool(self.against)
+
+    def in_hand(self, scene: HandScene) -> Grips:
+        """These, which are found now if they were not yet.
+
+        Raises
+        ------
+        ConfigError
+            none holds the sticks, or they are for another hand than that of `scene`.
+        """
+        if self.find is not None:
+            with torch.inference_mode(False), torch.enable_grad():  # whoever only plays needs none
+                found = self.find(scene)
+            self.by_name, self.against, self.find = found.by_name, found.against, None
+        return self
 
 
 @dataclass(frozen=True)
@@ -377,7 +398,8 @@ class CandidateOptions:
 class GripOptions:
     name: str = "standard"  #: a grip that comes with a plugin
     file: str | None = None  #: path of another one; wins over ``name``
-    #: A style, by digits from the thumb on: its grip is found as the task is built, in some seconds; wins over both.
+    #: A style, by digits from the thumb on: its grip in a human hand is found as the task is built, in some seconds; wins
+    #: over both.
     style: str | None = None
     #: m along the sticks from their middle, by finger that touches, of the grip that is found; null is a first guess.
     places: Mapping[str, float] | None = None
@@ -452,6 +474,10 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
     made: list[Grips] = []
 
     def keep(folder: Path) -> None:
+        if not made:
+            raise ConfigError(
+                "Nothing here holds a tool, so grip.style finds no grip. Leave it out."
+            )
         folder.mkdir(parents=True, exist_ok=True)
         for name, grip in made[0].by_name.items():
             grip.save(folder / f"{name}.json")
@@ -461,15 +487,42 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
     folder = inputs.folder_of(asked, Path(), keep)
     if folder != Path():
         return _kept(folder, list(candidates))
-    if len(candidates) == 1:
-        ((name, candidate),) = candidates.items()
-        scene = HandScene(HandScene.Options(fingers.pop()))
-        made.append(Grips({name: find_grip(scene, candidate.style, candidate.places)}))
-        return made[0]
-    made.append(found := _found_apart(candidates))
-    if not found.by_name:
-        raise ConfigError(f"No candidate holds the sticks. {next(iter(found.against.values()))}")
-    return found
+
+    def find(scene: HandScene) -> Grips:
+        for candidate in candidates.values():
+            _refuse_another_hand(candidate.style, scene)
+        if len(candidates) > 1:
+            found = _found_apart(candidates)
+        else:
+            ((name, candidate),) = candidates.items()
+            human = HandScene(HandScene.Options(scene.measures.fingers))
+            found = Grips({name: find_grip(human, candidate.style, candidate.places)})
+        if not found.by_name:
+            raise ConfigError(
+                f"No candidate holds the sticks. {next(iter(found.against.values()))}"
+            )
+        made.append(found)
+        return found
+
+    return Grips(find=find)
+
+
+def _refuse_another_hand(style: Style, scene: HandScene) -> None:
+    """Raises:
+    ConfigError: it is not the style of a human hand, with two sticks, as `scene` has; before anything is searched for.
+    """
+    check_style(style, scene.measures.fingers)
+    options = scene.options
+    if options.tool != "sticks":
+        raise ConfigError(
+            f"grip.style={written(style)} is of two sticks, and the scene has {_TOOLS[options.tool]}. Set "
+            f"scene.tool=sticks, or grip.name={options.tool if options.tool != 'none' else 'standard'}."
+        )
+    if scene.robot or scene.measures != Measures(scene.measures.fingers):
+        raise ConfigError(
+            f"grip.style={written(style)} finds a grip of the human hand, and the scene's is another one. Find one: "
+            "understudy grip STYLE FILE --scene NAME (scene=NAME), then grip.file=FILE."
+        )
 
 
 def _found_apart(candidates: Mapping[str, Candidate]) -> Grips:

@@ -51,8 +51,8 @@ class Gripping:
         self.names, self.scene = tuple(grips.by_name), scene
         self.grips = list(grips.by_name.values())
         self.groups = Groups(self.names, context, tuple(grips.against))
-        #: Whether the job is shared, so that a world has to say whose it is.
-        self.several = len(self.names) + len(grips.against) > 1
+        #: Whether the job is one of candidates, so that a world has to say whose it is; one may be left of them.
+        self.several = grips.are_candidates
         first, device = self.grips[0], context.device
         for name, grip in grips.by_name.items():
             grip.need(scene)
@@ -190,7 +190,7 @@ def gripping(context: Context, who: str) -> Gripping:
     """The task's, from the config section ``grip``."""
     scene = context.need_scene(HandScene, who)
     grips = context.need_section("grip", Grips, who)
-    return context.once("gripping", lambda: Gripping(grips, scene, context))
+    return context.once("gripping", lambda: Gripping(grips.in_hand(scene), scene, context))
 
 
 def angle_at(amplitude: Tensor, rate: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:

@@ -81,6 +81,11 @@ class Bank:
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
         self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
+        if self._below is not None and self._below.kind != "box":
+            raise ConfigError(
+                f"Nothing stays upon a {self._below.kind} (scene.below). Set it to a box, such as "
+                "'{kind: box, sizes: [0.02, 0.02, 0.02]}'."
+            )
         above = made.scene.options.above
         self._above = objects.Shape(above.kind, above.sizes) if above is not None else None
         if self._above is not None and thing.kind != "box":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -42,18 +43,23 @@ class GripSearch(OuterLoop):
         #: m: how far each finger's place may be from a first guess, either way
         spread: float = 0.025
         together: int = 1  #: styles whose candidates share one job, each in worlds of its own
+        #: Of each candidate that shares a job: it ends at the first evaluation by which all that hold the sticks have
+        #: had as many; null leaves that to the budget, of which fewer have more each.
+        samples: int | None = None
         #: how a style's scores are modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
         def __post_init__(self) -> None:
             check_range(self, "fingers", least=FEWEST, most=len(FINGERS))
             check_range(self, "evaluations", "initial", "together", least=1)
+            check_range(self, "samples", least=1, most=math.inf)
             check_range(self, "spread", above=0, most=HALF_LENGTH)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         chosen: Sequence[Style] = [read_style(text, options.fingers) for text in options.styles]
         chosen = list(dict.fromkeys(chosen)) or styles(options.fingers)
         self._evaluations, self._shared = options.evaluations, options.together > 1
+        self._samples = options.samples
         self._searches = {written(style): _search(style, options, seed) for style in chosen}
         names = list(self._searches)
         #: The styles of each of a round's trials.
@@ -115,15 +121,27 @@ class GripSearch(OuterLoop):
                 f"No style's first candidate could begin; of '{report.key}', {report.status} Correct "
                 "the experiment, and give run.dir another folder."
             )
-        return None
+        return "stop" if self._enough(report, own) else None
+
+    def _enough(self, report: Report, own: Iterable[str]) -> bool:
+        """Whether each candidate that holds the sticks has had its samples of a job that goes on."""
+        if report.final or not self._shared or self._samples is None:
+            return False
+        scores = [report.measures.get(_OBJECTIVE.replace(CANDIDATE, _NAME + s)) for s in own]
+        held = sum(score is not None and math.isfinite(score) for score in scores)
+        return report.cost >= self._samples * max(held, 1)
 
     def summary(self) -> list[dict[str, Any]]:
-        """The trials by style, each style's best marked as its answer."""
-        return [
-            {**row, "trial": f"{style}-{row['trial'].removeprefix('trial')}", "style": style}
-            for style, search in self._searches.items()
-            for row in search.summary()
-        ]
+        """The trials by style, each style's best marked as its answer; of a shared job, which one."""
+        rows = []
+        for place, styles_of in enumerate(self._jobs):
+            for style in styles_of:
+                for row in self._searches[style].summary():
+                    number = row["trial"].removeprefix("trial")
+                    named = {**row, "trial": f"{style}-{number}", "search": style}
+                    job = {"job": f"round{number}-{place}"} if self._shared else {}
+                    rows.append({**named, **job})
+        return rows
 
     def _own(self, key: str) -> dict[str, str]:
         """By style of the trial `key`: its name in that style's search."""

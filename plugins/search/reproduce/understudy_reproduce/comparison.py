@@ -88,6 +88,7 @@ class Comparison:
     def __init__(self, name: str, table: PaperTable, folder: Path, given: Sequence[str]) -> None:
         self.name, self.table, self.folder = name, table, folder
         self._given = list(given)
+        #: By row, and column or, of a loop of several searches, the name of one: what each seed found.
         self.found: Mapping[tuple[str, str], Sequence[Found]] = {}
 
     def run(self) -> None:
@@ -97,8 +98,21 @@ class Comparison:
                 sweep(self.overrides_of(row, column, seed))
 
     def read(self) -> None:
-        """What the journals tell by now."""
-        self.found = {(row, column): list(self._read(row, column)) for row, column in self._cells()}
+        """What the journals tell by now; of several searches of one loop the best ones come first."""
+        found: dict[tuple[str, str], list[Found]] = {}
+        for row, column in self._cells():
+            several: dict[str, list[Found]] = {}
+            for searches in self._read(row, column):
+                for name, one in searches.items():
+                    several.setdefault(name, []).append(one)
+            if set(several) <= {""}:
+                found[row, column] = several.get("", [])
+                continue
+            for name in sorted(several, key=lambda name: -_mean_best(several[name])):
+                found[row, name if len(self.table.columns) == 1 else f"{column}, {name}"] = several[
+                    name
+                ]
+        self.found = found
 
     def _cells(self) -> list[tuple[str, str]]:
         named = self.table.variants()
@@ -117,7 +131,11 @@ class Comparison:
     def place_of(self, row: str, column: str, seed: int) -> Path:
         return self.folder / row / column / f"seed{seed}"
 
-    def _read(self, row: str, column: str) -> Iterator[Found]:
+    def _columns(self, row: str) -> list[str]:
+        """What a row compares, in the order of the table's columns where it has those."""
+        return [c for r, c in self.found if r == row] or list(self.table.columns)
+
+    def _read(self, row: str, column: str) -> Iterator[dict[str, Found]]:
         chosen = None
         for seed in self.table.seeds:
             journal = Journal.read(self.place_of(row, column, seed) / "journal.jsonl")
@@ -133,7 +151,7 @@ class Comparison:
 
     def headline(self) -> str:
         searches = [one for found in self.found.values() for one in found]
-        asked = len(self._cells()) * len(self.table.seeds)
+        asked = max(len(self._cells()), len(self.found)) * len(self.table.seeds)
         done = sum(one.finished for one in searches)
         spent = sum(one.spent for one in searches)
         return (
@@ -149,10 +167,10 @@ class Comparison:
                 yield row, _compared(cells)
 
     def _charts(self, row: str) -> str:
-        """The curves of a row's searches in one picture; colours go by the table's columns."""
+        """The curves of a row's searches in one picture; colours go by what it compares."""
         searches = [one for (r, _), found in self.found.items() if r == row for one in found]
         end, series = max(one.spent for one in searches), []
-        for index, column in enumerate(self.table.columns):
+        for index, column in enumerate(self._columns(row)):
             found = self.found.get((row, column), ())
             curves = [steps for one in found if len(steps := one.steps(end))]
             line, band = mean_curve(curves)
@@ -181,7 +199,7 @@ class Comparison:
         ]  # fmt: skip
         sections = [piece("headline", f"{table.source}. {self.headline()}")]
         for title, shown in self.tables():
-            charts = f'{legend(list(table.columns))}<div class="pair">{self._charts(title)}</div>'
+            charts = f'{legend(self._columns(title))}<div class="pair">{self._charts(title)}</div>'
             sections.append(piece("section", title, Markup(charts + shown.html())))
         sections.append(piece("paragraphs", _NOTES))
         if table.deviations:
@@ -217,8 +235,9 @@ class Comparison:
                     yield [row, column, one.seed, samples, best if np.isfinite(best) else ""]
 
 
-def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
-    """What the search `loop` has found, by its `journal`.
+def found_by(loop: OuterLoop, journal: Journal, seed: int) -> dict[str, Found]:
+    """What the search `loop` has found, by its `journal`; of a loop of several searches (rows that name their
+    ``search``) each by that name, else under "".
 
     Raises
     ------
@@ -230,23 +249,46 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
             loop.tell(event)
         else:
             loop.recall(event)
-    rows = {row.get("trial"): row for row in loop.summary()}
-    if not all({"y", "whole"} <= row.keys() for row in rows.values()):
+    rows = loop.summary()
+    if not all({"y", "whole"} <= row.keys() for row in rows):
         raise ConfigError(
             f"{type(loop).__name__} does not say what its trials are worth, so it cannot be compared "
             "with other searches. Choose one of `bayes` or `cmfbo`."
         )
+    finished = loop.share is not None and loop.share >= 1
+    searches: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        searches.setdefault(str(row.get("search", "")), []).append(row)
+    return {name: _found(_in_order(own, journal), seed, finished) for name, own in searches.items()}
+
+
+def _mean_best(found: Sequence[Found]) -> float:
+    """Over seeds; those that have none count as nothing."""
+    return statistics.fmean(one.best(np.inf) or 0.0 for one in found)
+
+
+def _in_order(
+    rows: Sequence[Mapping[str, Any]], journal: Journal
+) -> Iterator[tuple[Mapping[str, Any], float]]:
+    """The finished ones of a summary's `rows` as their jobs ended, and the samples of each."""
+    by_job: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:  # a candidate of several is part of a job
+        by_job.setdefault(str(row.get("job", row.get("trial"))), []).append(row)
+    for key, report in journal.finished.items():
+        for row in by_job.get(key, ()):
+            yield row, float(row["samples"] or 0.0) if "job" in row else report.cost
+
+
+def _found(rows: Iterator[tuple[Mapping[str, Any], float]], seed: int, finished: bool) -> Found:
     spent, best, whole, at_whole, points = 0.0, np.nan, 0, 0.0, []
-    for key, report in journal.finished.items():  # in the order in which they ended
-        row = rows[key]
-        spent += report.cost if row.get("counts", True) else 0.0
+    for row, cost in rows:
+        spent += cost if row.get("counts", True) else 0.0
         if row["whole"]:
             whole += 1
-            at_whole += report.cost
+            at_whole += cost
             if row["y"] is not None:
                 best = np.fmax(best, row["y"])
         points.append((spent, best))
-    finished = loop.share is not None and loop.share >= 1
     return Found(seed, np.array(points).reshape(-1, 2), whole, finished, at_whole)
 
 
@@ -254,7 +296,10 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
     """A line for each search: its best value when all have spent as much, and in the end. A search
     that still runs is compared once it has spent as much as the others did in the end."""
     searches = [one for found in cells.values() for one in found]
-    equal = min(one.spent for one in [s for s in searches if s.finished] or searches)
+    spent = [
+        one for one in searches if one.spent > 0
+    ] or searches  # some had no trial that could begin
+    equal = min(one.spent for one in [s for s in spent if s.finished] or spent)
     name, at_equal = next(iter(cells)), {}
     for column, found in cells.items():
         values = {one.seed: one.best(equal) for one in found if one.spent >= equal}

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Generator
 
 from understudy_sweeps.loops import Executor, Report, Trial, Work
-from understudy_sweeps.trial import run_trial
+from understudy_sweeps.trial import check_device, run_trial
 
 
 class InProcess(Executor):
     """No parallelism, no isolation: a trial that crashes the process stops the sweep."""
 
     def __init__(self, options: None, work: Work) -> None:
+        check_device(work)
         self._work = work
         self._reports: Generator[Report | None, bool | None, None] | None = None
         self._answer: bool | None = None  #: None before the first report

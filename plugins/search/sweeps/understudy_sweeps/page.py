@@ -253,7 +253,10 @@ def _tiles(results: Sequence[Result]) -> list[Tile]:
     variants = variants_of(results)
     if not variants:
         best = best_of(results)
-        return [] if best is None else [Tile(best.trial.key, best.path)]
+        if best is None:
+            return []
+        # Of several candidates that share a job the film is the job's: who is seen in it is not known.
+        return [Tile(str(best.said.get("job", best.trial.key)), best.path)]
     firsts = [next((r for r in v.results if r.ok), None) for v in variants]
     shown = enumerate(zip(variants, firsts, strict=True))
     return [Tile(v.name, r.path, i) for i, (v, r) in shown if r is not None]

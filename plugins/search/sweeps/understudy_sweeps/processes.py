@@ -27,7 +27,7 @@ from understudy.records.runs import cores
 from understudy.signals import StopRequest
 from understudy_sweeps.loops import Executor, Trial, Work
 from understudy_sweeps.pool import Host, Limits, Lost, Pool, begun, job, message_of
-from understudy_sweeps.trial import folder_of, run_trial
+from understudy_sweeps.trial import check_device, folder_of, run_trial
 
 #: In a trial's folder: what it wrote on standard output and error.
 OUTPUT = "output.txt"
@@ -66,6 +66,8 @@ class Processes:
             _check_gpus(self.gpus)
 
     def __new__(cls, options: Options, work: Work) -> Executor:
+        if options.gpus is None:  # else those that there are, are counted
+            check_device(work)
         gpus = None if options.gpus is None else _Gpus(options.gpus, work.device)
         server = _server()
         if gpus is not None:

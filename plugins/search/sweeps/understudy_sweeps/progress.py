@@ -14,7 +14,7 @@ from rich.progress import Progress as Bar
 from understudy_report.progress import clock
 from understudy_report.values import Row
 from understudy_sweeps.journal import Journal
-from understudy_sweeps.results import Result, best_of, said_of
+from understudy_sweeps.results import Result, best_of, told
 
 
 class Progress:
@@ -75,13 +75,8 @@ def describe(
     if failed:
         parts.append(f"{failed} failed")
     # Variants are not ranked: what is asked of them may be least where it is best.
-    said = said_of(summary)
-    results = [
-        Result(t, finished.get(t.key), Path(), said=said.get(t.key, {}))
-        for t in journal.asked
-        if not t.variant
-    ]
-    if (best := best_of(results)) is not None:
+    asked = [Result(t, finished.get(t.key), Path()) for t in journal.asked if not t.variant]
+    if (best := best_of(told(asked, summary))) is not None:
         parts.append(f"best {best.worth:.3g} ({best.trial.key})")
     return " · ".join(parts)
 

@@ -86,9 +86,8 @@ class Results:
 
     def of(self, journal: Journal, summary: Sequence[Row] = ()) -> list[Result]:
         """In the order in which they were asked for; `summary` are the outer loop's rows."""
-        reports, said = journal.finished, said_of(summary)
-        found = [self._one(trial, reports.get(trial.key)) for trial in journal.asked]
-        return [replace(r, said=said.get(r.trial.key, {})) for r in found]
+        reports = journal.finished
+        return told([self._one(trial, reports.get(trial.key)) for trial in journal.asked], summary)
 
     def _one(self, trial: Trial, report: Report | None) -> Result:
         if trial.key in self._finished:
@@ -152,9 +151,42 @@ def objective_of(results: Sequence[Result]) -> str:
     return OBJECTIVE
 
 
-def said_of(summary: Sequence[Row]) -> dict[str, Row]:
-    """The rows of an outer loop's `summary` by trial."""
-    return {str(row["trial"]): row for row in summary if "trial" in row}
+def told(results: Sequence[Result], summary: Sequence[Row]) -> list[Result]:
+    """The `results` with what the rows of an outer loop's `summary` say; a trial of several candidates, whose rows name it as
+    their ``job``, as one for each."""
+    of_jobs: dict[str, list[Row]] = {}
+    for row in summary:
+        if "job" in row:
+            of_jobs.setdefault(str(row["job"]), []).append(row)
+    said = {str(row["trial"]): row for row in summary if "trial" in row and "job" not in row}
+    found: list[Result] = []
+    for result in results:
+        if candidates := of_jobs.get(result.trial.key):
+            found += [_candidate(result, row) for row in candidates]
+        else:
+            found.append(replace(result, said=said.get(result.trial.key, {})))
+    return found
+
+
+def _candidate(job: Result, row: Row) -> Result:
+    """One of a `job`, by its own row: what was measured of all together is not its."""
+    point = {k: float(v) for k, v in row.items() if "." in k}  # options of the configuration
+    trial, report = Trial(str(row["trial"]), point=point), job.report
+    if report is not None:
+        failed = "failed: it could not begin in its job."
+        report = replace(
+            report,
+            key=trial.key,
+            status="ok"
+            if row["status"] == "ok"
+            else failed
+            if report.status == "ok"
+            else report.status,
+            objective=row["objective"],
+            measures={},
+            cost=row["samples"] or 0.0,
+        )
+    return replace(job, trial=trial, report=report, rows=(), said=row)
 
 
 def compared_in(results: Sequence[Result]) -> list[Result]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import torch
 from hydra.core.override_parser.types import Quote, QuotedString
 
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
@@ -31,7 +32,8 @@ __all__ = ["folder_of", "run_trial", "written"]
 _STOPPED = "stopped.json"
 #: In a trial's folder, once it is finished: what it was judged by.
 JUDGED = "evaluation.json"
-#: How the status begins of a trial which shows that the search makes no sense: the sweep ends.
+#: How the status begins of a trial which shows that the search makes no sense, or a variant of which a file is missing:
+#: the sweep ends.
 REFUSED = "refused: "
 #: Seconds to wait for whoever still holds the folder: a process whose sweep was killed saves first.
 PATIENCE = 60.0
@@ -48,6 +50,18 @@ def note_stop(key: str, samples: float, work: Work) -> None:
     path = folder_of(key, work.folder)
     path.mkdir(parents=True, exist_ok=True)
     write_atomically(path / _STOPPED, json.dumps({"samples": samples}).encode())
+
+
+def check_device(work: Work) -> None:
+    """Refuse a GPU that is not here before any trial: a search would take its failure for a finding.
+
+    Raises
+    ------
+    ConfigError
+        torch sees none; nothing else is asked of it here.
+    """
+    if work.device.startswith("cuda") and not torch.cuda.is_available():
+        raise ConfigError(f"device={work.device}, but torch sees no CUDA GPU here. Use device=cpu.")
 
 
 def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None, None]:
@@ -67,6 +81,10 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
         yield Report(trial.key, f"{REFUSED}{error}", run=str(path))
         return
     except (ConfigError, FileError, RunError) as error:
+        if isinstance(error, FileError) and trial.variant and not (path / "run.json").exists():
+            said = f"Variant '{trial.variant}' cannot begin: {error} Mend that and repeat the command, which goes on."
+            yield Report(trial.key, REFUSED + said, run=str(path))
+            return
         yield Report(trial.key, f"failed: {error}", run=str(path))
         return
     run = training.run
