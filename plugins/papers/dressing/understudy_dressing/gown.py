@@ -53,12 +53,23 @@ class GownScene(HangingScene):
         if context is not None:
             context.inputs.file(f"garment {path}", lambda: [path])
         self._garment: Garment = read_garment(path)
-        for side in ("left", "right"):
-            if f"{side}_sleeve" not in self._garment.loops:
+        borders = [frozenset(hole.tolist()) for hole in holes_of(self._garment.faces)]
+        ends = set()
+        for name in ("left_sleeve", "right_sleeve"):
+            if name not in self._garment.loops:
                 raise ConfigError(
-                    f"scenes.cloth.file={path} names no loop '{side}_sleeve': a gown has left_sleeve and right_sleeve, where its "
-                    "sleeves end."
+                    f"scenes.cloth.file={path} names no loop '{name}': a gown has left_sleeve and right_sleeve, where its sleeves "
+                    "end."
                 )
+            ends.add(frozenset(self._garment.loops[name].tolist()))
+            if not ends <= set(borders):
+                raise ConfigError(
+                    f"scenes.cloth.file={path}: '{name}' is not the border of a hole, and a sleeve ends in one; name it by hole: VERTEX."
+                )
+        if len(ends) < 2:
+            raise ConfigError(
+                f"scenes.cloth.file={path}: left_sleeve and right_sleeve are one loop; name where each ends."
+            )
 
     @cached_property
     def _x(self) -> np.ndarray:
