@@ -23,10 +23,11 @@ RECORD = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "dressing
 
 
 def followed(
-    run: Path, portion: str, words: list[str], most: float
+    run: Path, portion: str, words: list[str], most: float, ahead: int
 ) -> dict[str, list[float | None]]:
-    """Of each arm of that bank, led by torques of at most so much of the largest: the decision at which it was dressed, None
-    where never, at which an episode ended, its largest progress and area ratio."""
+    """Of each arm of that bank, led by torques of at most so much of the largest to the pose that its way has so many decisions
+    `ahead`: the decision at which it was dressed, None where never, at which an episode ended, its largest progress and
+    area ratio, and the largest distance from its way, rad."""
     words = ["experiment=dressing/shirt_sleeve", *WORDS, "episode.seconds=20", "initial_states=bank", f"initial_states.file={run / portion}", *words]  # fmt: skip
     environment = build_environment(load_experiment(words)).environment
     environment.reset(seed=3)
@@ -37,8 +38,9 @@ def followed(
     inside, torn, error = torch.full((count,), -1.0), torch.zeros(count), torch.zeros(count)
     for k in range(way.shape[1]):
         q, rate = table["qpos"][:, :22], table["qvel"][:, :22]
-        before = way[:, max(0, k - 1)]
-        action = (stiff * (way[:, k] - q) + damp * ((way[:, k] - before) / 0.04 - rate)) / torques
+        wanted = way[:, min(k + ahead, way.shape[1] - 1)]
+        before = way[:, max(0, min(k + ahead, way.shape[1] - 1) - 1)]
+        action = (stiff * (wanted - q) + damp * ((wanted - before) / 0.04 - rate)) / torques
         step = environment.step(action.clamp(-most, most))
         going = ended.isinf()
         ended = torch.where(step.ended & going, float(k + 1), ended)
@@ -70,14 +72,17 @@ def main() -> None:
     )
     parser.add_argument("--edge", type=float, default=0.03)
     parser.add_argument("--most", type=float, default=0.5, help="of each largest torque")
+    parser.add_argument(
+        "--ahead", type=int, default=0, help="decisions, of the pose that is asked for"
+    )
     options = parser.parse_args()
     rows = [json.loads(line) for line in (options.run / "metrics.jsonl").open()]
     led = [row["arrived"] for row in rows if "arrived" in row]
     words = [f"scenes.cloth.edge={options.edge}", f"num_worlds={options.worlds}"]
-    found = followed(options.run, options.portion, words, options.most)
+    found = followed(options.run, options.portion, words, options.most, options.ahead)
     record = {
         "when": datetime.date.today().isoformat(), "machine": "one busy CPU core", "edge": options.edge, "led": len(led),
-        "led_in": int(sum(led)), "portion": options.portion, "most": options.most, "worlds": options.worlds,
+        "led_in": int(sum(led)), "portion": options.portion, "most": options.most, "ahead": options.ahead, "worlds": options.worlds,
         "dressed_by_torques": sum(one is not None for one in found["dressed"]), **found,
     }  # fmt: skip
     print(record)
