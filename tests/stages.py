@@ -7,6 +7,7 @@ import os
 from fnmatch import fnmatch
 from pathlib import Path
 
+from garment_files import write_gown
 from miniatures import make_stages, train
 
 #: Where the clips are that are not part of the distribution.
@@ -56,6 +57,9 @@ GIVEN = {
     "sitting/turn_*_switched": ("initial_states.banks=[RUNS/ends]", "start.run=RUNS/walk"),
     "sitting/sit_switched": ("initial_states.banks=[RUNS/switches]", "start.run=RUNS/walk"),
     "sitting/sit_any_chair": ("initial_states.banks=[RUNS/switches]", "start.run=RUNS/walk"),
+    "dressing/gown": ("scenes.cloth.file=RUNS/gown.yaml",),
+    "dressing/gown_gripper": ("scenes.cloth.file=RUNS/gown.yaml", "actuation.run=RUNS/dressed"),
+    "dressing/shirt_sleeve_led": ("initial_states.file=RUNS/led/ends",),
     "dressing/gripper": ("actuation.run=RUNS/dressed",),
     "dressing/shirt": (
         "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",
@@ -72,6 +76,7 @@ def above(name: str, runs: Path) -> list[str]:
 def make_all_stages(folder: Path) -> Path:
     """Make every stage, the miniatures' too, in `folder`, by the command line."""
     make_stages(folder)
+    write_gown(folder)
     for name, words in STAGES.items():
         given = [word.replace("RUNS", str(folder)) for word in words]
         train(*given, *([] if "job.run" in str(words) else _ONE_SAMPLE), f"run.dir={folder / name}")

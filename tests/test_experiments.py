@@ -17,7 +17,10 @@ LISTED = [(group, name) for group in ("experiment", "search", "ablation")
           for name in options(PLUGINS, group)]  # fmt: skip
 LOOPS = [(group, name) for group, name in LISTED if group != "experiment"]
 NEED = {
+    "experiment=dressing/gown": "scenes.cloth.file",
+    "experiment=dressing/gown_gripper": "actuation.run",
     "experiment=dressing/gripper": "actuation.run",
+    "experiment=dressing/shirt_sleeve_led": "initial_states.file",
     "experiment=miniature/dressing": "initial_states.file",
     "experiment=miniature/in_sequence": "actuation.stages",
     "experiment=miniature/sitting": "actuation.runs",

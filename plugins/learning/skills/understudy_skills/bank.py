@@ -13,7 +13,7 @@ from understudy.errors import ConfigError, FileError, RunError
 from understudy.records import checkpoint
 from understudy.task import Context, Scene
 
-__all__ = ["files", "fitting", "load", "starts"]
+__all__ = ["NAME", "files", "fitting", "load", "save", "starts"]
 
 #: The bank that a harvest leaves in its run folder.
 NAME = "bank"

@@ -17,6 +17,8 @@ from understudy.task import Scene, State
 from understudy_reinforcement.evaluation import Evaluation, Measured
 from understudy_skills import bank
 
+__all__ = ["Gathered", "Gathering"]
+
 
 class Gathered:
     """Up to `wanted` states, of each field (S, …), and how many iterations in a row found none."""

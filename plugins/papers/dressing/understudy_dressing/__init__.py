@@ -10,6 +10,7 @@ PARTS = {
     "scene": {
         "dressing/person": ("person:PersonScene", "a torso with arms, and a gripper"),
         "dressing/sleeve": ("sleeve:SleeveScene", "a sleeve that a gripper holds"),
+        "dressing/gown": ("gown:GownScene", "a gown from a file, held beside a sleeve"),
         "dressing/shirt": ("shirt:ShirtScene", "a T-shirt whose hem hands can hold"),
         "dressing/jacket": ("jacket:JacketScene", "a jacket that hangs from a hand"),
     },
@@ -37,7 +38,11 @@ PARTS = {
         "dressing/worn_shirt": ("initial_states:WornShirt", "a shirt on the shoulders"),
         "dressing/held_jacket": ("initial_states:HeldJacket", "a jacket hangs from the left hand"),
     },
+    "job": {
+        "dressing/lead": ("leading:Lead", "leads arms from under the hem into the sleeve"),
+    },
     "reward": {
+        "dressing/along_way": ("terms:AlongWay", "how near the pose is to one that was led"),
         "dressing/deformation": ("terms:deformation", "equation 13: stretched cloth"),
         "dressing/geodesic": ("terms:geodesic", "equation 15: touched near the sleeve's opening"),
         "dressing/along_task_vector": ("terms:along_task_vector", "eq. 16: the fingertip's way"),

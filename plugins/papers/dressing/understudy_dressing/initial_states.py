@@ -16,7 +16,7 @@ from understudy.task import Context, InitialStates
 from understudy_dressing.jacket import JacketScene
 from understudy_dressing.person import PersonScene, Side, depth_in, neutral_pose
 from understudy_dressing.shirt import IN_SLEEVE, ShirtScene, Worn
-from understudy_dressing.sleeve import SleeveScene
+from understudy_dressing.sleeve import HangingScene
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
@@ -51,7 +51,7 @@ class Track(InitialStates):
         who = "initial_states 'dressing/track'"
         person = context.need_scene(PersonScene, who)
         self._pose = neutral_pose(person).to(context.device)
-        sleeve = context.need_scene(SleeveScene, who)
+        sleeve = context.need_scene(HangingScene, who)
         settled = context.once("dressing/settled", sleeve.settled)
         self._settled = torch.tensor(settled, dtype=torch.float32, device=context.device)
         low, high, end = (

@@ -6,7 +6,7 @@ person looks along x, its left is y, the base of its neck is the origin.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context
+from understudy_dressing.cone import fitted
 from understudy_mujoco.scene import MujocoScene
 from understudy_warp_torch.tools import Shape, TaperedCapsule, Tool
 
@@ -26,6 +27,7 @@ Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 GRIPPER = "gripper"
 _FREE = 1e3  #: rad, of a hinge without limits
+_UPPER_ARM = 0.30  #: m, from shoulder to elbow
 #: Friction of a body: with the fabric's 0.5, the mean is the 2018 code's.
 _FRICTION = 0.5
 #: Of a driven gripper (2018 code): N s/m and N m s; N and N m, of an action of 1.
@@ -195,6 +197,9 @@ class PersonScene(MujocoScene):
         driven: bool = False
         #: whether links of which none joins the other keep apart (2018 code: they do); cloth between two that do not is torn
         self_collision: bool = False
+        #: whether upper arms stay within a cone (:mod:`understudy_dressing.cone`) in place of swinging freely (section 8:
+        #: a classifier, which was not published); elbow and twist keep the 2018 code's ranges
+        cone: bool = False
 
         def __post_init__(self) -> None:
             check_range(self, "damping", least=0)
@@ -245,6 +250,9 @@ class PersonScene(MujocoScene):
         if self.options.self_collision:
             for first, second in combinations(_NECK_AND_SHOULDERS, 2):
                 spec.add_exclude(bodyname1=first, bodyname2=second)
+        if self.options.cone:
+            for side in SIDES:
+                _add_cone(spec, side, bodies)
         gripper = spec.worldbody.add_body(name=GRIPPER)
         gripper.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.05, 0.01], mass=1.0,
                          contype=0, conaffinity=0, rgba=_STEEL)  # fmt: skip
@@ -277,6 +285,22 @@ class PersonScene(MujocoScene):
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         motor.gear[0] = hinge.torque
         motor.ctrllimited, motor.ctrlrange = True, [-1, 1]
+
+
+def _add_cone(spec: mujoco.MjSpec, side: Side, bodies: Mapping[str, mujoco.MjsBody]) -> None:
+    """A tendon from the elbow to both foci of the cone, no longer than the border lets it be."""
+    cone, out = fitted(), np.array([1.0, 1.0 if side == "left" else -1.0, 1.0])
+    arm, shoulder = bodies[f"{side}_upper_arm"], bodies[f"{side}_clavicle"]
+    arm.add_site(name=f"{side}_cone_elbow", pos=[0, 0, -_UPPER_ARM])
+    joint = next(link.position for link in LINKS if link.name == arm.name)
+    tendon = spec.add_tendon(
+        name=f"{side}_cone", limited=True, range=[0, _UPPER_ARM * cone.most], rgba=[0, 0, 0, 0]
+    )
+    names = [f"{side}_cone_{k}" for k in range(2)]
+    for name, focus in zip(names, cone.foci, strict=True):
+        shoulder.add_site(name=name, pos=(joint + _UPPER_ARM * out * focus).tolist())
+    for name in (names[0], f"{side}_cone_elbow", names[1]):
+        tendon.wrap_site(name)
 
 
 def neutral_pose(person: PersonScene) -> Tensor:

@@ -55,7 +55,7 @@ DRESSED = (0.0, 0.0, -1.2, 0.0, 0.0, 0.25, 0.0, 0.0)
 _APART, _WEIGHT = 0.003, 3.0
 #: s: until the shirt hangs; a hand on its way; until it hangs again.
 _SETTLES, _GOES, _HANGS = 0.8, 0.6, 0.4
-_PERIOD = 0.01
+PERIOD = 0.01
 
 
 class ShirtScene(CutGarment):
@@ -210,7 +210,7 @@ class Moves:
         positions = model.positions if begins is None else begins
         alone = _Alone(replace(model, positions=positions, fabric=fabric, tools=at))
         context = Context(
-            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=_PERIOD, substeps=10, scene=alone,
+            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=PERIOD, substeps=10, scene=alone,
         )  # fmt: skip
         self._cloth = ClothSimulator(ClothSimulator.Options(), context)
 
@@ -228,7 +228,7 @@ class Moves:
         self._cloth.step(torch.cat([control, grips])[None])
 
     def hold(self, seconds: float, closed: tuple[bool, ...]) -> None:
-        for _ in range(round(seconds / _PERIOD)):
+        for _ in range(round(seconds / PERIOD)):
             self._step(self._pose, closed)
 
     def patch(self, side: Side) -> np.ndarray:
@@ -273,7 +273,7 @@ class Moves:
         begin, end = self._pose.copy(), self._pose.copy()
         inside = np.clip(begin[mine], low + 1e-3, high - 1e-3)
         end[mine] = least_squares(off, inside, bounds=(low, high), diff_step=1e-4).x
-        count = round(seconds / _PERIOD)
+        count = round(seconds / PERIOD)
         for k in range(count):
             share = (k + 1) / count
             self._step(begin + share * share * (3 - 2 * share) * (end - begin), closed)

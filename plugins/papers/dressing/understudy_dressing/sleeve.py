@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -23,7 +24,34 @@ from understudy_warp_torch.tools import Tool
 _MOST = 10_000
 
 
-class SleeveScene(GarmentScene):
+class HangingScene(GarmentScene):
+    """What hangs from a gripper, the last of the tools, which is at the origin where it is laid out."""
+
+    @abstractmethod
+    def hanging(self, bodies: tuple[Tool, ...]) -> ClothModel:
+        """With the `bodies` that it meets, of which the last holds it."""
+
+    def model(self) -> ClothModel:
+        return self.hanging(tools())
+
+    def settled(self, seconds: float = 1.0) -> np.ndarray:
+        """(V, 3) m: as it hangs from a gripper at the origin after so many seconds (paper: 1), alone."""
+        scene = _Alone(self.hanging((Tool(()),)))
+        context = Context(
+            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.01, substeps=10, scene=scene,
+        )  # fmt: skip
+        options = ClothSimulator.Options(self_contact=False)
+        simulator = ClothSimulator(options, context)
+        closed = torch.zeros(1, simulator.control_size)
+        closed[:, -1] = 1.0
+        for _ in range(round(seconds / context.control_dt)):
+            simulator.step(closed)
+        if bool(simulator.failed().any()):
+            raise ConfigError("The garment flies apart where it hangs: choose another fabric.")
+        return simulator.read("cloth_position")[0].numpy().astype(np.float64)
+
+
+class SleeveScene(HangingScene):
     """A tube of cloth along x, open at both ends, around the axis that lies its radius below the gripper;
     the person puts a hand in at x = 0. The gripper holds a strip along the top, as if it hung from a rail; and as
     much of the entrance as is asked for, which is then a stiff hoop that cannot be drawn over the shoulder."""
@@ -94,10 +122,7 @@ class SleeveScene(GarmentScene):
         ring = np.arange(self._count)[::-1]
         return {name: row * self._count + ring for name, row in rows.items()}
 
-    def model(self) -> ClothModel:
-        return self._with(tools())
-
-    def _with(self, bodies: tuple[Tool, ...]) -> ClothModel:
+    def hanging(self, bodies: tuple[Tool, ...]) -> ClothModel:
         points, faces, apart = self.mesh
         first = np.arange(len(points)) < 2 * self._count
         held = (apart <= math.radians(self.options.strip) + 1e-9) | (
@@ -107,25 +132,13 @@ class SleeveScene(GarmentScene):
         return ClothModel(points, faces, self.options.fabric, tools=bodies, grips=(grip,))
 
     def settled(self, seconds: float = 1.0) -> np.ndarray:
-        """(V, 3) m: as it hangs from a gripper at the origin after so many seconds (paper: 1), alone."""
         return _settled(type(self), self.options, seconds)
 
 
 @lru_cache(maxsize=8)  # training and evaluation ask for it
 def _settled(kind: type[SleeveScene], options: SleeveScene.Options, seconds: float) -> np.ndarray:
     """:meth:`SleeveScene.settled` of such a sleeve, not to be written to."""
-    scene = _Alone(kind(options)._with((Tool(()),)))
-    context = Context(
-        seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.01, substeps=10, scene=scene,
-    )  # fmt: skip
-    simulator = ClothSimulator(ClothSimulator.Options(self_contact=False), context)
-    closed = torch.zeros(1, simulator.control_size)
-    closed[:, -1] = 1.0
-    for _ in range(round(seconds / context.control_dt)):
-        simulator.step(closed)
-    if bool(simulator.failed().any()):
-        raise ConfigError("The sleeve flies apart where it hangs: choose another fabric.")
-    found = simulator.read("cloth_position")[0].numpy().astype(np.float64)
+    found = HangingScene.settled(kind(options), seconds)
     found.setflags(write=False)
     return found
 

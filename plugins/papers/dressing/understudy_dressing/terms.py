@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
+from understudy.options import check_range
 from understudy.task import Context
 from understudy_dressing.person import PersonScene, neutral_pose
 
@@ -34,6 +35,26 @@ def along_task_vector(
     """Equation 16: how far the fingertip went along the task vector in this decision, seen from the
     shoulder, m, (N,)."""
     return ((fingertip_offset - previous_fingertip_offset) * previous_task_vector).sum(dim=1)
+
+
+class AlongWay:
+    """exp(−‖q − q̂‖²/width²) of the pose and that of the way along which ``job=dressing/lead`` led the arm, at this decision, the
+    last one from its end on; ours, (N,)."""
+
+    @dataclass(frozen=True)
+    class Options:
+        width: float = 1.0  #: rad, the distance over all hinges at which it is 1/e
+
+        def __post_init__(self) -> None:
+            check_range(self, "width", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._scale, self._decision = options.width**-2, context.decision
+
+    def __call__(self, qpos: Tensor, way: Tensor, episode_step: Tensor) -> Tensor:
+        number = (episode_step // self._decision - 1).clamp(min=0, max=way.shape[1] - 1)
+        wanted = way[torch.arange(len(way), device=way.device), number]
+        return torch.exp(-self._scale * (qpos[:, : way.shape[2]] - wanted).square().sum(dim=1))
 
 
 class TargetPose:

@@ -20,7 +20,7 @@ from understudy.options import check_range, make_options
 from understudy_cloth.checking import check_mesh, pieces_of
 from understudy_cloth.mesh import edges_of, face_areas
 
-__all__ = ["Garment"]
+__all__ = ["Garment", "holes_of", "read_garment"]
 
 #: Bytes of a mesh and of the file that names its loops; no garment comes near.
 MOST_BYTES, MOST_NAMING_BYTES = 64 << 20, 1 << 20
@@ -279,7 +279,7 @@ def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
 
 
 def holes_of(faces: np.ndarray) -> list[np.ndarray]:
-    """The borders of a manifold mesh, each (n,) vertices in order, along its triangles."""
+    """The borders of a manifold mesh of `faces` (F, 3), each (n,) vertices in order, along its triangles."""
     _, index = edges_of(faces)
     once = (np.bincount(index.ravel())[index] == 1).ravel()
     following = dict(

@@ -1,0 +1,300 @@
+"""A job that leads arms from where the shirt's second subtask ended into the sleeve, and keeps states of the way.
+
+At the tuck's end the front is gathered above the elbow, the hand is before the chin and the sleeve behind the shoulder, so an
+arm that makes straight for its sleeve goes through the front. Led the other way round, it goes in: the holding hand lowers the
+hem, the elbow goes up before the chest while the fingertip goes through the sleeve's entrance, and the arm out to its side. The
+cloth is simulated, and nothing limits torques.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from understudy.errors import ConfigError, TrainingError
+from understudy.options import check_range
+from understudy.records.runs import Run
+from understudy.setup.building import build_sections, device_of
+from understudy.setup.config import Experiment
+from understudy.task import Context, State
+from understudy_cloth.mesh import face_areas
+from understudy_dressing.person import Side, limb
+from understudy_dressing.shirt import DRESSED, PERIOD, Moves, ShirtScene
+from understudy_dressing.state import centre_and_normal, pierces, progress
+from understudy_skills import bank
+from understudy_skills.gathered import Gathered, Gathering
+
+#: The banks that it leaves, by where on the way their states are.
+PORTIONS = ("ends", "low", "half", "near", "out")
+#: What a state is, of the person and the cloth.
+STATE = ("qpos", "qvel", "cloth_position", "cloth_velocity")
+#: The arm that goes in (the paper's first), and the hands: only the right one holds.
+SIDE: Side = "left"
+_CLOSED = (True, False)
+#: m, where the elbow goes; what it weighs beside the fingertip; m beyond the entrance, where that goes.
+_ELBOW, _WEIGHT, _BEYOND = (0.28, 0.09, -0.08), 0.7, 0.12
+#: m: so far links stay apart.
+_APART = 0.003
+#: Progress from which on the arm goes out to its side.
+ENOUGH = 0.08
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an arm was on its way."""
+
+    phase: int  #: 0 while the hem comes down, 1 while the hand goes in, 2 while the arm goes out
+    pose: np.ndarray  #: (22,) rad
+    cloth: np.ndarray  #: (V, 3) m
+    progress: float  #: equation 11
+    ratio: float  #: equation 12, the largest of any triangle
+    through: bool  #: whether the arm goes through the cloth
+
+
+class Led(Moves):
+    """A shirt on a person whose left arm is led into its sleeve."""
+
+    def __init__(self, shirt: ShirtScene, pose: np.ndarray, cloth: np.ndarray) -> None:
+        super().__init__(shirt, pose, cloth)
+        self._shirt = shirt
+        self._entrance = torch.tensor(shirt.sleeve(SIDE)["entrance"].copy())
+        self._left = self._arm(SIDE)
+        self._free = [*range(3), *self._left]
+        limited = self._body.jnt_limited[self._free].astype(bool)
+        ranges = self._body.jnt_range[self._free]
+        self._low, self._high = (np.where(limited, ranges[:, k], s * 2.2) for k, s in enumerate((-1, 1)))  # fmt: skip
+
+    def bones(self) -> np.ndarray:
+        """(6, 3) m, as :func:`limb`."""
+        return np.array([
+            self._data.body(name).xpos + self._data.body(name).xmat.reshape(3, 3) @ np.array(at)
+            for name, at in limb(SIDE)
+        ])  # fmt: skip
+
+    def place(self, phase: int) -> Place:
+        pose, x = self.found()
+        self._place(pose)
+        bones, cloth = torch.tensor(self.bones())[None], torch.tensor(x)[None]
+        ratio = (face_areas(x[self._shirt.faces]) / face_areas(self._shirt.corners)).max()
+        through = pierces(bones, cloth[:, torch.tensor(self._shirt.faces)])
+        inside = progress(bones, cloth[:, self._entrance])[1]
+        return Place(phase, pose.copy(), x, float(inside), float(ratio), bool(through))
+
+    def lower(self, share: float, begin: np.ndarray, end: np.ndarray) -> None:
+        """Trunk and right arm go by a `share` of the way from those of the pose `begin` to those of `end`, (22,) rad."""
+        others = [i for i in range(len(begin)) if i not in self._left]
+        self._mix(others, share, begin, end)
+
+    def spread(self, share: float, begin: np.ndarray) -> None:
+        """The left arm goes by a `share` of the way from that of the pose `begin` (22,) rad out to its side."""
+        end = begin.copy()
+        end[self._left] = DRESSED
+        self._mix(self._left, share, begin, end)
+
+    def approach(self, speed: float) -> None:
+        """Fingertip and elbow go on by a step of `speed`, m."""
+        pose, x = self.found()
+        self._place(pose)
+        bones = self.bones()
+        cloth = torch.tensor(x[self._entrance])[None]
+        centre, normal = (one[0].numpy() for one in centre_and_normal(cloth))
+        inside = float(progress(torch.tensor(bones)[None], cloth)[1]) > 0
+        tip = _towards(bones[0], bones[0] + normal if inside else centre + _BEYOND * normal, speed)
+        elbow = _towards(bones[3], np.array(_ELBOW), speed)
+        pose, begin = pose.copy(), pose[self._free].copy()
+
+        def off(hinges: np.ndarray) -> np.ndarray:
+            pose[self._free] = hinges
+            self._place(pose)
+            at = self.bones()
+            mujoco.mj_collision(self._body, self._data)
+            near = sum(max(0.0, _APART - contact.dist) for contact in self._data.contact)
+            return np.concatenate([at[0] - tip, _WEIGHT * (at[3] - elbow), 0.03 * (hinges - begin), [3.0 * near]])  # fmt: skip
+
+        inner = np.clip(begin, self._low + 1e-3, self._high - 1e-3)
+        pose[self._free] = least_squares(
+            off, inner, bounds=(self._low, self._high), diff_step=1e-4, max_nfev=6
+        ).x
+        self._go(pose)
+
+    def _mix(self, which: list[int], share: float, begin: np.ndarray, end: np.ndarray) -> None:
+        pose = self._pose.copy()
+        pose[which] = begin[which] + share * share * (3 - 2 * share) * (end - begin)[which]
+        self._go(pose)
+
+    def _go(self, pose: np.ndarray) -> None:
+        self._pose = pose
+        self._step(pose, _CLOSED)
+
+
+def _towards(begin: np.ndarray, end: np.ndarray, speed: float) -> np.ndarray:
+    way = end - begin
+    return begin + way * min(1.0, speed / float(np.linalg.norm(way)))
+
+
+class Lead(Gathering):
+    """Leads arms in a task of ``dressing/shirt_sleeve`` from states of a bank, as ``job=harvest`` leaves of ``dressing/shirt_tuck``.
+
+    It leaves banks in the folders ``ends`` (where the arms began), ``low`` (the hem on its way down), ``half`` and ``near`` (the
+    hand on its way, and nearer or in) and ``out`` (the arm on its way out), at rest but for the first, of those arms that
+    went all the way through no cloth. Each state has the poses that follow as ``way`` (T, 22) rad, one a decision, the last
+    one again from the end of the way on. States that a bank holds out for evaluations are not led.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        bank: str  #: the bank in which the arms begin, or the folder of the run that has it
+        count: int = 24  #: how many of its states are led, evenly of all
+        lowers: float = 0.6  #: s, in which the hem comes down
+        speed: float = 0.8  #: m/s, of fingertip and elbow, which go their own ways
+        most: float = 2.2  #: s, within which the hand has to be in
+        out: float = 1.6  #: s, in which the arm goes out to its side
+        keep: int = 3  #: of every so many decisions of a way one state
+        torn: float = 2.6  #: area ratio of states that are not kept
+
+        def __post_init__(self) -> None:
+            check_range(self, "count", "keep", least=1)
+            check_range(self, "lowers", "most", "out", least=0.1, most=10)
+            check_range(self, "speed", least=0.05, most=5)
+            check_range(self, "torn", least=1)
+
+    def __init__(self, options: Options, experiment: Experiment) -> None:
+        self.options, self._experiment = options, experiment
+        self.device = device_of(experiment.root.device)
+        self._gathered = Gathered(options.count)  # of one number: what became of each arm
+        self._kept: dict[str, list[dict[str, Tensor]]] = {name: [] for name in PORTIONS}
+
+    def prepare(self) -> None:
+        experiment = self._experiment
+        root, registry = experiment.root, experiment.registry
+        context = Context(
+            seed=root.seed, device=torch.device("cpu"), num_worlds=1, control_dt=1.0 / root.control.frequency,
+            substeps=root.control.substeps, decision=root.control.decision, registry=registry,
+            sections=build_sections(experiment), chosen=experiment.choices, inputs=experiment.inputs,
+        )  # fmt: skip
+        self._scene = context.scene = experiment.need("scene").build(context)
+        self._shirt = context.need_scene(ShirtScene, "job 'dressing/lead'")
+        self._every = max(1, round(root.control.decision / root.control.frequency / PERIOD))
+        states = bank.starts(self.options.bank, context, "job.bank")
+        missing = [name for name in STATE if name not in states]
+        if missing:
+            raise ConfigError(
+                f"job.bank={self.options.bank} has no '{missing[0]}': give one that job=harvest leaves of dressing/shirt_tuck."
+            )
+        rows = np.linspace(0, len(states["qpos"]) - 1, self.options.count).round().astype(int)
+        self._states = {name: states[name][np.unique(rows)] for name in STATE}
+        self._gathered = Gathered(len(self._states["qpos"]))
+        self._lowered = self._shirt.settled("in_sleeve", SIDE)[0]
+
+    def iterate(self, samples: int) -> dict[str, Any]:
+        row = self._gathered.count
+        state = {name: values[row] for name, values in self._states.items()}
+        places, way = self._lead(state["qpos"][:22].double().numpy(), state["cloth_position"].double().numpy())  # fmt: skip
+        arrived = places[-1].phase == 2 and not places[-1].through
+        if arrived:
+            self._keep(state, places, np.stack(way))
+        self._gathered.add({"arrived": torch.tensor([float(arrived)])})
+        return {
+            "consumed": len(places) - 1,
+            "states": self._gathered.count,
+            "progress": max(place.progress for place in places),
+            "area_ratio": max(place.ratio for place in places),
+            "arrived": float(arrived),
+        }
+
+    def _lead(self, pose: np.ndarray, cloth: np.ndarray) -> tuple[list[Place], list[np.ndarray]]:
+        """Where the arm was at each decision, until it goes through cloth, is not in in time, or is out at its side; and the
+        pose (22,) rad of each step."""
+        options, arm, way = self.options, Led(self._shirt, pose, cloth), list[np.ndarray]()
+        places = [arm.place(0)]
+
+        def steps(seconds: float) -> range:
+            return range(1, round(seconds / PERIOD) + 1)
+
+        def through(phase: int) -> bool:
+            way.append(arm.found()[0].copy())
+            if len(way) % self._every == 0:
+                places.append(arm.place(phase))
+            return places[-1].through
+
+        for k in steps(options.lowers):
+            arm.lower(k / len(steps(options.lowers)), pose, self._lowered)
+            if through(0):
+                return places, way
+        for _ in steps(options.most):
+            arm.approach(PERIOD * options.speed)
+            if through(1) or places[-1].progress > ENOUGH:
+                break
+        if places[-1].progress > ENOUGH and not places[-1].through:
+            begin = arm.found()[0].copy()
+            for k in steps(options.out):
+                arm.spread(k / len(steps(options.out)), begin)
+                if through(2):
+                    break
+        return places, way
+
+    def _keep(self, state: Mapping[str, Tensor], places: list[Place], way: np.ndarray) -> None:
+        options = self.options
+        longest = round((options.lowers + options.most + options.out) / PERIOD) // self._every + 1
+        decisions = torch.from_numpy(
+            np.concatenate([way[self._every - 1 :: self._every], way[-1:]])
+        ).float()
+        decisions = torch.cat([decisions, decisions[-1:].expand(longest, -1)])
+        self._kept["ends"].append({**state, "way": decisions[:longest]})
+        hand = sum(place.phase == 1 for place in places)
+        first = sum(place.phase == 0 for place in places)
+        for k in range(options.keep, len(places), options.keep):
+            place = places[k]
+            name = ("low", "half" if k < first + hand // 2 else "near", "out")[place.phase]
+            if place.ratio < options.torn:
+                qpos = torch.cat([torch.from_numpy(place.pose).float(), state["qpos"][22:]])
+                cloth = torch.from_numpy(place.cloth).float()
+                self._kept[name].append({
+                    "qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": cloth,
+                    "cloth_velocity": torch.zeros_like(cloth), "way": decisions[k : k + longest],
+                })  # fmt: skip
+
+    def stage(self) -> str:
+        return f"{self._gathered.count} of {len(self._states['qpos'])} arms led"
+
+    def products(self, run: Run) -> None:
+        if not self._kept["ends"]:
+            raise TrainingError(
+                f"No arm came into the sleeve from job.bank={self.options.bank}. Lead more of its states (job.count), or harvest "
+                "others, with job.lasting=16."
+            )
+        for name, kept in self._kept.items():
+            if kept:
+                states = {field: torch.stack([one[field] for one in kept]) for field in kept[0]}
+                (run.path / name).mkdir(exist_ok=True)
+                bank.save(run.path / name / bank.NAME, states, {"led": name}, self._scene)
+
+    def sources(self) -> Mapping[str, Any]:
+        return {"bank": {"run": self.options.bank}}
+
+    def state_dict(self) -> State:
+        kept = {
+            name: {field: torch.stack([one[field] for one in ones]) for field in ones[0]}
+            for name, ones in self._kept.items()
+            if ones
+        }
+        return {**self._gathered.state_dict(), "kept": kept}
+
+    def load_state_dict(self, state: State) -> None:
+        self.load_learned(state, 0)
+        for name, fields in state["kept"].items():
+            rows = range(len(fields["qpos"]))
+            self._kept[name] = [{field: value[k] for field, value in fields.items()} for k in rows]
+
+    def report(self) -> Mapping[str, int]:
+        return {}
+
+    def forget_worlds(self) -> None:
+        pass

@@ -1,0 +1,133 @@
+"""Arms that are led into the sleeve without forces, and a reward for staying near their way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from understudy.command.cli import main
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy.task import Context
+from understudy_dressing.leading import PORTIONS
+from understudy_dressing.shirt import DRESSED, ShirtScene
+from understudy_dressing.terms import AlongWay
+from understudy_skills import bank
+
+pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+SHIRT = ShirtScene(ShirtScene.Options(edge=0.032))
+SMALL = ["device=cpu", "simulators.person.name=mujoco", "scenes.cloth.edge=0.032", "num_worlds=2", "scene.steps.cloth=5",
+         "simulators.cloth.self_contact=false", "run.video_seconds=0"]  # fmt: skip
+LEAD = [
+    "train",
+    "experiment=dressing/shirt_sleeve",
+    "job=dressing/lead",
+    "job.lowers=0.1",
+    "job.out=0.9",
+    *SMALL,
+]
+
+
+@pytest.fixture(scope="module")
+def starts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bank of hands in the sleeve's mouth, from which the way is short; the first is held out."""
+    pose, cloth = (torch.from_numpy(one).float() for one in SHIRT.settled("in_sleeve", "left"))
+    qpos = torch.cat([pose, torch.zeros(3)]).expand(3, -1).clone()
+    states = {"qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": cloth.expand(3, -1, -1).clone()}  # fmt: skip
+    states["cloth_velocity"] = torch.zeros_like(states["cloth_position"])
+    qpos[:, 5] = torch.tensor([0.0, 0.01, 0.02])  # the head turned, by which they are told apart
+    path = tmp_path_factory.mktemp("starts") / "bank"
+    bank.save(path, states, {}, SHIRT)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(starts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("led") / "run"
+    assert main([*LEAD, f"job.bank={starts}", "job.count=2", f"run.dir={folder}"]) == 0
+    return folder
+
+
+def test_it_leaves_states_of_the_way_and_what_follows(run: Path) -> None:
+    found = {name: bank.load(run / name) for name in PORTIONS if (run / name).is_dir()}
+    assert {"ends", "out"} <= found.keys()
+    ends = found["ends"]
+    assert ends["qpos"][:, 5].tolist() == pytest.approx([0.01, 0.02]), "not the one held out"
+    arm = ends["way"][:, -1, 6:14]
+    assert torch.allclose(arm, torch.tensor(DRESSED).expand_as(arm), atol=1e-5)
+    for states in found.values():
+        assert states["way"].shape[1:] == ends["way"].shape[1:]
+    for pose, way in zip(found["out"]["qpos"], found["out"]["way"], strict=True):
+        nearest = (ends["way"] - pose[:22]).norm(dim=2).min(dim=1)
+        which = int(nearest.values.argmin())
+        at = int(nearest.indices[which])
+        assert nearest.values[which] < 1e-5
+        assert torch.allclose(way[0], ends["way"][which, at + 1], atol=1e-5), "the next decision's"
+
+
+def test_episodes_begin_in_them_and_are_paid_for_what_follows(run: Path) -> None:
+    words = [
+        "experiment=dressing/shirt_sleeve_led",
+        *SMALL,
+        "curriculum=null",
+        f"initial_states.file={run}/out",
+    ]
+    environment = build_environment(load_experiment(words)).environment
+    environment.reset(seed=1)
+    table = environment.table
+    way = table["way"].clone()
+    environment.step(torch.zeros(2, environment.action_size))
+    term = next(t for t in environment.parts.rewards if t.name == "way")
+    wanted = torch.exp(-(table["qpos"][:, :22] - way[:, 0]).square().sum(dim=1))
+    assert torch.allclose(environment._evaluate(term), wanted)
+    environment.close()
+
+
+def test_the_reward_by_hand() -> None:
+    context = Context(
+        seed=0, device=torch.device("cpu"), num_worlds=2, control_dt=0.01, substeps=1, decision=4
+    )
+    term = AlongWay(AlongWay.Options(width=0.5), context)
+    way = torch.tensor([[[0.0, 0.0], [1.0, 0.0]]]).expand(2, -1, -1)
+    pose = torch.tensor([[0.3, 0.4, 9.0], [1.0, 0.5, 9.0]])
+    assert term(pose, way, torch.tensor([4, 8])).tolist() == pytest.approx([np.exp(-1), np.exp(-1)])
+    assert term(pose, way, torch.tensor([4, 400])).tolist() == pytest.approx(
+        [np.exp(-1), np.exp(-1)]
+    )
+
+
+def test_the_whole_search_composes(tmp_path: Path) -> None:
+    load_experiment(["search=dressing/shirt_sleeve_led", f"run.dir={tmp_path}/led"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["job.bank=nowhere"], "The bank nowhere.json cannot be used"),
+        (["job.bank=BANK", "scenes.cloth.edge=0.03"], "does not fit this task"),
+        (["job.bank=BANK", "job.count=0"], "count=0"),
+        (["job.bank=BANK", "experiment=dressing/sleeve_small"], "ShirtScene"),
+        (["job.bank=POSES"], "has no 'cloth_velocity'"),
+    ],
+)
+def test_bad_input(
+    words: list[str], says: str, starts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = bank.load(starts)
+    del states["cloth_velocity"]
+    bank.save(tmp_path / "poses", states, {}, SHIRT)
+    words = [
+        word.replace("BANK", str(starts)).replace("POSES", str(tmp_path / "poses"))
+        for word in words
+    ]
+    given = [
+        one for one in LEAD if not any(one.split("=")[0] == word.split("=")[0] for word in words)
+    ]
+    assert main([*given, *words, f"run.dir={tmp_path}/run"]) == 2
+    lines = [one for one in capsys.readouterr().err.splitlines() if one.startswith("understudy:")]
+    assert len(lines) == 1
+    assert says in lines[0]
+    assert not (tmp_path / "run").exists()
