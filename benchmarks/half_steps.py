@@ -2,7 +2,8 @@
 
 ``python benchmarks/half_steps.py`` unpacks every skill that ships, runs `understudy evaluate` on it and writes a line of JSON
 each to ``docs/benchmarks/half_steps.jsonl``, from which ``make figures`` writes the table in ``docs/benchmarks/README.md``.
-Run folders and files of packed skills (.json) are judged in place of these where given with ``--skills``.
+Run folders and files of packed skills (.json) are judged in place of these where given with ``--skills``. With overrides, as of where
+episodes begin, ``--out`` names another file: ``sitting/turn_starts.jsonl`` is of ``'initial_states.span=[0,0.25]'``.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ def row(name: str, episodes: int, overrides: list[str]) -> dict[str, Any]:
     finer = found["half_step"]
     return {
         "skill": name,
+        **({"overrides": overrides} if overrides else {}),
         "when": time.strftime("%Y-%m-%d"),
         "seed": 0,
         "episodes": found["episodes"],
