@@ -13,7 +13,7 @@ from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, InitialStates
-from understudy_reinforcement.evaluation import Evaluation
+from understudy_reinforcement.evaluation import Evaluation, wilson_interval
 from understudy_reinforcement.evaluator import Evaluator
 
 
@@ -89,3 +89,35 @@ def test_starts_are_kept_with_the_run() -> None:
         "near": {"name": "my/at", "place": 0.0},
         "farther": {"name": "my/at", "place": 2.0},
     }
+
+
+class Apart(At):
+    """Worlds at 0, 0.1, 0, 0.1, …"""
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        return {"x": 0.1 * (torch.arange(self._worlds) % 2).float()[:, None]}
+
+
+def test_episodes_that_begin_alike_tell_as_much_as_one() -> None:
+    found = evaluated("initial_states={name: my/at, place: 0.0}")
+    assert (found.episodes, found.different_starts, found.trials) == (6, 1, 1)
+    low, high = found.as_json(0)["success_rate_95"]
+    assert (low, high) == pytest.approx(wilson_interval(1.0, 1))
+    assert found.as_json(0)["different_starts"] == 1
+    assert "the 6 episodes began in the same state" in found.sentence()
+
+
+def test_different_starts_are_counted() -> None:
+    plugins = line_plugins(
+        initial_states={"my/at": At, "my/apart": Apart}, termination={"my/beyond": beyond}
+    )
+    words = [*TASK, "initial_states={name: my/apart}"]
+    made = Evaluator(load_experiment(words, plugins))
+    found = made.run(Steady(Steady.Options(1.0), made.built.context), "test", 6)
+    assert found.different_starts == 2
+    assert "6 episodes began in 2 different states" in found.sentence()
+
+
+def test_nobody_counts_starts_of_an_evaluation_that_may_give_up() -> None:
+    found = evaluated("initial_states={name: my/at, place: 0.0}", give_up_below=0.5)
+    assert (found.different_starts, found.trials) == (None, 6)

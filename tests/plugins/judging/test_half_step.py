@@ -34,6 +34,13 @@ def test_the_verdict(first: tuple[float, int], second: tuple[float, int], expect
     assert verdict(apart[1:]) == expected
 
 
+def test_episodes_of_one_start_decide_nothing() -> None:
+    alike = Evaluation(128, success_rate=1.0, different_starts=1)
+    apart = difference(alike, alike)
+    assert apart is not None
+    assert verdict(apart[1:]) == "undecided"
+
+
 def test_what_the_file_says() -> None:
     found = compared(judged(1.0, 64), 1200.0, judged(0.25, 64))
     assert found["physics_hz"] == 1200.0

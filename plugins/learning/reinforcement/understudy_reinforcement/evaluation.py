@@ -58,6 +58,15 @@ class Evaluation(Judgement):
     objective: str = "success_rate"  #: what searches maximise: this, or a measure
     seconds: float | None = None  #: the episodes' length
     unsound: float = 0.0  #: share whose numbers went wrong; they are no success
+    different_starts: int | None = (
+        None  #: in how many states episodes began; None if nobody counted
+    )
+
+    @property
+    def trials(self) -> int:
+        """How many episodes tell something new: a deterministic policy does the same from the same start, unless
+        something is drawn on the way. With fewer of them intervals are wider, never too narrow."""
+        return self.episodes if self.different_starts is None else self.different_starts
 
     @property
     def objective_value(self) -> float | None:
@@ -81,6 +90,7 @@ class Evaluation(Judgement):
             "samples": samples,
             "policy": "deterministic",
             "starts": "never used in training",
+            "different_starts": self.different_starts,
             "mean_episode_seconds": self.mean_episode_seconds,
             "violated": dict(self.violated),
             "cut": dict(self.cut),
@@ -89,7 +99,7 @@ class Evaluation(Judgement):
             "objective": {"name": self.objective, "value": self.objective_value},
         }
         if self.success_rate is not None:
-            low, high = wilson_interval(self.success_rate, self.episodes)
+            low, high = wilson_interval(self.success_rate, self.trials)
             found |= {
                 "success": self.success,
                 "success_rate": self.success_rate,
@@ -104,6 +114,11 @@ class Evaluation(Judgement):
         ]
         if self.unsound:
             figures.append(f"numbers went wrong in {shown_share(self.unsound)} of the episodes")
+        if self.trials < self.episodes:
+            states = "the same state" if self.trials == 1 else f"{self.trials} different states"
+            figures.append(
+                f"the {self.episodes} episodes began in {states}, which is what they tell of"
+            )
         if self.success_rate is None:
             return "; ".join(figures or ["nothing was measured"]) + "."
         most, early = ("", "") if self.complete else ("at most ", ", stopped early")

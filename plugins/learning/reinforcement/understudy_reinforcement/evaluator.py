@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -136,13 +138,14 @@ class Evaluator:
                 rows, _ = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
                 begun[f"success_from_{name}"] = Measured.of("any", rows["success"].float())
         found: list[dict[str, Tensor]] = []
+        states: set[bytes] | None = set() if give_up_below is None else None
         lost = done = 0
         complete = True
         while done < episodes and complete:
             count = min(self.built.environment.num_worlds, episodes - done)
             allowed = math.inf if give_up_below is None else episodes * (1 - give_up_below) - lost
             batch, complete = self._batch(
-                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_period
+                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_period, states
             )
             lost += count - int(batch["success"].sum()) if self.success else 0
             done = done + count if complete else episodes  # those that are left could all succeed
@@ -174,6 +177,7 @@ class Evaluator:
             seconds=self.options.seconds,
             complete=complete,
             unsound=float(joined["unsound"].float().mean()),
+            different_starts=None if states is None else len(states),
         )
 
     def _batch(
@@ -183,10 +187,14 @@ class Evaluator:
         count: int,
         allowed: float = math.inf,
         on_period: Callable[[Tensor], None] | None = None,
+        states: set[bytes] | None = None,
     ) -> tuple[dict[str, Tensor], bool]:
-        """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost."""
+        """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost. Digests of
+        the states in which they begin are added to `states`."""
         environment = self.built.environment
         observations = environment.reset(self._seed, draw)
+        if states is not None:
+            states |= self._digests(count)
         self._running.fill_(True)
         self._running[count:] = False
         self._seconds.zero_()
@@ -216,6 +224,18 @@ class Evaluator:
             **{f"fired/{name}": fired for name, fired in self._fired.items()},
         }
         return {name: value[:count].clone() for name, value in found.items()}, complete
+
+    def _digests(self, count: int) -> set[bytes]:
+        """A digest of the state of each of the first `count` worlds: physics, what an episode keeps, observations."""
+        environment = self.built.environment
+        state = environment.state_dict()
+        columns = [
+            np.ascontiguousarray(value[:count].cpu().numpy()).reshape(count, -1).view(np.uint8)
+            for of in ("simulator", "tensors", "observations")
+            for value in state[of].values()
+            if value.numel() and value.shape[:1] == (environment.num_worlds,)
+        ]
+        return {hashlib.sha256(row.tobytes()).digest() for row in np.concatenate(columns, axis=1)}
 
     def _within(self, allowed: float, count: int) -> bool:
         """Whether the success rate can still be reached: of episodes that are over, all is known."""

@@ -50,6 +50,7 @@ def _facts(evaluation: Row) -> Iterator[tuple[str, object]]:
     yield "Samples learned from", None if samples is None else f"{samples:,.0f}"
     yield "Episodes", evaluation.get("episodes")
     yield "Starts", evaluation.get("starts")
+    yield "Different starts", evaluation.get("different_starts")
     yield "Longest possible", None if length is None else f"{length:g} s"
     yield "Mean length", None if lasted is None else f"{lasted:.2f} s"
     yield "Success means", evaluation.get("success")
