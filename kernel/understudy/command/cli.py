@@ -151,8 +151,7 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")
-    asked = [name for name in names if name.split() == list(arguments[: len(name.split())])]
-    for name in asked or names:
+    for name in [n for n in names if n.split() == list(arguments[: len(n.split())])] or names:
         component = registry.find("command", name)
         *group, word = name.split()
         where = commands
