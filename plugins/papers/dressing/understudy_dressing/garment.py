@@ -9,9 +9,19 @@ from functools import cached_property
 import numpy as np
 
 from understudy_cloth.garments import Garment
-from understudy_cloth.scene import ClothScene
+from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_dressing.drawing import FELT, Felt
 from understudy_dressing.person import Side
+
+
+class Alone(ClothScene):
+    """Cloth without a task, to be laid out or put on before one."""
+
+    def __init__(self, model: ClothModel) -> None:
+        self._model = model
+
+    def model(self) -> ClothModel:
+        return self._model
 
 
 class GarmentScene(ClothScene):

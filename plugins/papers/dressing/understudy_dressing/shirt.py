@@ -19,9 +19,9 @@ from understudy.task import Context
 from understudy_cloth.garments import Garment
 from understudy_cloth.mesh import edges_of
 from understudy_cloth.patterns import Shirt, t_shirt
-from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
+from understudy_cloth.scene import ClothModel, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
-from understudy_dressing.garment import CutGarment
+from understudy_dressing.garment import Alone, CutGarment
 from understudy_dressing.person import (
     TIP,
     PersonScene,
@@ -174,14 +174,6 @@ def _settled(
     return found
 
 
-class _Alone(ClothScene):
-    def __init__(self, model: ClothModel) -> None:
-        self._model = model
-
-    def model(self) -> ClothModel:
-        return self._model
-
-
 class Moves:
     """One world of the garment on the CPU, `begins` (V, 3) m as it was put on, on a person that is led from `pose` (22,) rad,
     neutral unless given, and whose links keep apart as the subtasks' do: those that begin in each other would be thrown
@@ -208,7 +200,7 @@ class Moves:
             for tool, i in zip(model.tools, self._ids, strict=True)
         )
         positions = model.positions if begins is None else begins
-        alone = _Alone(replace(model, positions=positions, fabric=fabric, tools=at))
+        alone = Alone(replace(model, positions=positions, fabric=fabric, tools=at))
         context = Context(
             seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=PERIOD, substeps=10, scene=alone,
         )  # fmt: skip

@@ -14,9 +14,9 @@ import torch
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context
-from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
+from understudy_cloth.scene import ClothModel, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
-from understudy_dressing.garment import GarmentScene
+from understudy_dressing.garment import Alone, GarmentScene
 from understudy_dressing.person import Side, tools
 from understudy_warp_torch.tools import Tool
 
@@ -36,7 +36,7 @@ class HangingScene(GarmentScene):
 
     def settled(self, seconds: float = 1.0) -> np.ndarray:
         """(V, 3) m: as it hangs from a gripper at the origin after so many seconds (paper: 1), alone."""
-        scene = _Alone(self.hanging((Tool(()),)))
+        scene = Alone(self.hanging((Tool(()),)))
         context = Context(
             seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.01, substeps=10, scene=scene,
         )  # fmt: skip
@@ -141,14 +141,6 @@ def _settled(kind: type[SleeveScene], options: SleeveScene.Options, seconds: flo
     found = HangingScene.settled(kind(options), seconds)
     found.setflags(write=False)
     return found
-
-
-class _Alone(ClothScene):
-    def __init__(self, model: ClothModel) -> None:
-        self._model = model
-
-    def model(self) -> ClothModel:
-        return self._model
 
 
 @dataclass(frozen=True)
