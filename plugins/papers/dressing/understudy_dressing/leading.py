@@ -160,7 +160,8 @@ class Lead(Gathering):
         torn: float = 2.6  #: area ratio of states that are not kept
 
         def __post_init__(self) -> None:
-            check_range(self, "count", "keep", least=1)
+            check_range(self, "count", least=1, most=100_000)
+            check_range(self, "keep", least=1, most=1000)
             check_range(self, "lowers", "most", "out", least=0.1, most=10)
             check_range(self, "speed", least=0.05, most=5)
             check_range(self, "torn", least=1)
