@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -103,8 +104,13 @@ def test_its_term_counts_in_another_plugins_task(site: Path, tmp_path: Path) -> 
     assert abs(share - round(share)) > 1e-4
 
 
-def test_passes_the_conformance_checks(site: Path) -> None:
-    code = "import sys; sys.path.insert(0, sys.argv[1])\n"
-    code += "from understudy.testing import check_plugin; check_plugin('balance')"
+def test_passes_the_checks_that_the_tutorial_shows(site: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "plugin-tutorial.md").read_text(encoding="utf-8")
+    (tests,) = re.findall(r"^## 12.*?```python\n(.*?)```", page, re.M | re.S)
+    names = re.findall(r"^def (test_\w+)", tests, re.M)
+    assert len(names) == 2
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n" + tests + "\n".join(f"{n}()" for n in names)
+    )
     done = forked(code, str(site), cwd=site)
     assert done.returncode == 0, done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
+from understudy.records.runs import create
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_characters.layout import LINK_COLUMNS
@@ -100,7 +102,41 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe", "task/miniature/go", "--columns"]) == 0
     assert capsys.readouterr().out.splitlines()[:2] == ["state [4]", "     0  offset/x"]
     assert main(["describe", "learner/ppo", "--columns"]) == 2
-    assert "--columns is of a task or an experiment" in capsys.readouterr().err
+    assert "--columns is of a task, an experiment or a run folder" in capsys.readouterr().err
+
+
+def heads(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line[0] != " "]
+
+
+def test_as_overrides_change_it_and_what_reads_it(capsys: pytest.CaptureFixture[str]) -> None:
+    more = ["encoder.extra={name: miniature/reach}", "encoder.other={name: miniature/reach}"]
+    words = ["--columns", "experiment/miniature/go", *more, "policy.critic=[state,extra]"]
+    assert main(["describe", *words]) == 0
+    assert heads(capsys.readouterr().out) == [
+        "state [4], read by actor and critic",
+        "extra [4], read by critic",
+        "other [4], read by no network",
+    ]
+    assert main(["describe", "learner/ppo", "learner.gamma=0.9"]) == 2
+    assert "KEY=VALUE goes with --columns" in capsys.readouterr().err
+
+
+def test_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["experiment=miniature/go", "encoder.extra={name: miniature/reach}", "device=cuda"]
+    create(load_experiment([*words, f"run.dir={tmp_path / 'run'}"]), words, {})
+    assert main(["describe", "--columns", str(tmp_path / "run")]) == 0
+    expected = ["state [4], read by actor and critic", "extra [4], read by no network"]
+    assert heads(capsys.readouterr().out) == expected
+    read = "policy.observation=[state,extra]"
+    assert main(["describe", "--columns", str(tmp_path / "run"), read]) == 0
+    assert "extra [4], read by actor and critic" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("flag", [[], ["--columns"]])
+def test_a_kind_and_a_name_apart(flag: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["describe", "task", "deepmimic/walk", *flag]) == 2
+    assert "Did you mean `understudy describe task/deepmimic/walk`?" in capsys.readouterr().err
 
 
 def test_what_is_printed_fits_a_screen() -> None:

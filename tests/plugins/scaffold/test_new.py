@@ -36,13 +36,13 @@ def test_a_new_plugin_passes_at_once(
     monkeypatch.chdir(tmp_path)
     assert main(["new", "plugin", "my_juggling"]) == 0
     assert "pip install -e understudy-my-juggling" in capsys.readouterr().out
-    assert "2 passed" in passed(tmp_path / "understudy-my-juggling", tmp_path / "site")
+    assert "3 passed" in passed(tmp_path / "understudy-my-juggling", tmp_path / "site")
 
 
 def test_a_new_paper_passes_at_once(tmp_path: Path) -> None:
     assert main(["new", "paper", "thrown", "--folder", str(tmp_path / "a" / "b")]) == 0
     written = tmp_path / "a" / "b"
-    assert "4 passed" in passed(written, tmp_path / "site")
+    assert "5 passed" in passed(written, tmp_path / "site")
     assert (written / "docs" / "thrown.md").is_file()
     texts = [
         f.read_text() for f in written.rglob("*") if f.suffix in (".py", ".md", ".yaml", ".toml")

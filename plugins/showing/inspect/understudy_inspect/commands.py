@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from understudy.command.command import Command
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_inspect.catalogue import offers
-from understudy_inspect.describe import describe, observed
+from understudy_inspect.describe import describe, names, observed
 from understudy_inspect.origins import all_origins
 from understudy_inspect.replay import replay_step
 
@@ -99,18 +99,30 @@ class Describe(Command):
 
     example = "understudy describe learner/ppo"
 
+    takes_overrides = True
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "part", help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk"
+            "part",
+            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; with --columns a run folder, too",
         )
         parser.add_argument(
             "--columns",
             action="store_true",
-            help="of a task or an experiment: what each column of its observations is, in order",
+            help="of a task, an experiment or a run, as KEY=VALUE changes it: what each column of its observations is, and what reads them",
         )
 
     def run(self, options: argparse.Namespace) -> int:
-        print((observed if options.columns else describe)(options.part, installed()))
+        plugins, part, words = installed(), options.part, options.overrides
+        if words and (joined := "/".join([part, *words])) in names(plugins):
+            raise ConfigError(
+                f"'{words[0]}' is not taken here. Did you mean `understudy describe {joined}`?"
+            )
+        if words and not options.columns:
+            raise ConfigError(
+                f"'{words[0]}' is not taken here: KEY=VALUE goes with --columns. See `understudy describe --help`."
+            )
+        print(observed(part, plugins, words) if options.columns else describe(part, plugins))
         return 0
 
 

@@ -8,16 +8,21 @@ import json
 import re
 import textwrap
 import typing
-from collections.abc import Iterator, Mapping
+from collections import UserDict
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
 import yaml
+from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import REQUIRED, Option, in_words, options_of, schema_of
-from understudy.setup.building import build_environment
-from understudy.setup.composition import load_experiment
+from understudy.records.runs import open_run
+from understudy.setup.building import Built, build_environment
+from understudy.setup.composition import compose_raw, load_experiment
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
 from understudy.setup.root import Root
@@ -69,29 +74,74 @@ def describe(name: str, plugins: Plugins) -> str:
     )
 
 
-def observed(name: str, plugins: Plugins) -> str:
-    """What each column of the observations of the task or experiment `name` is, in order. Builds one world.
+def observed(name: str, plugins: Plugins, overrides: Sequence[str] = ()) -> str:
+    """What each column of the observations of a task, experiment or run is, in order, and what reads them where there
+    is a policy. Builds one world on the CPU.
+
+    Parameters
+    ----------
+    name : ``task/NAME``, ``experiment/NAME`` (or with ``=``), or a run folder
+    overrides : as a training takes them
 
     Raises
     ------
     ConfigError
-        if it is no task or experiment, or cannot be built.
+        if `name` is none of these, or cannot be built.
+    RunError
+        if the run folder is damaged.
     """
-    group, _, rest = name.partition("/")
-    if group not in ("task", "experiment"):
+    group, _, rest = name.replace("=", "/", 1).partition("/")
+    if (Path(name) / "run.json").is_file():
+        run = open_run(name)
+        config = compose_raw(run.words(overrides), plugins) if overrides else run.config
+        experiment = run.experiment(plugins.registry, {**config, "device": "cpu"})
+    elif group in ("task", "experiment"):
+        experiment = load_experiment([f"{group}={rest}", *overrides, "device=cpu"], plugins)
+    else:
         raise ConfigError(
-            f"--columns is of a task or an experiment, and {name} is none: write task/spacetime/walk, say."
+            f"--columns is of a task, an experiment or a run folder, and {name} is none: write task/spacetime/walk, say."
         )
-    experiment = load_experiment([f"{group}={rest}"], plugins)
-    environment = build_environment(experiment, num_worlds=1).environment
+    built = build_environment(experiment, num_worlds=1)
     try:
+        readers = _readers(experiment, built)
         lines = []
-        for observation, columns in environment.observation_columns.items():
-            lines.append(f"{observation} {list(environment.observation_shapes[observation])}")
+        for observation, columns in built.environment.observation_columns.items():
+            shape = list(built.environment.observation_shapes[observation])
+            lines.append(f"{observation} {shape}{readers.get(observation, '')}")
             lines += [f"  {number:>4}  {column}" for number, column in enumerate(columns)]
     finally:
-        environment.close()
+        built.environment.close()
     return "\n".join(lines)
+
+
+def _readers(experiment: Experiment, built: Built) -> dict[str, str]:
+    """By observation what of the policy reads it, in words; empty where no policy is chosen."""
+    chosen = experiment.one("policy") if "policy" in experiment.registry.slots else None
+    if chosen is None:
+        return {}
+    observations = built.environment.reset(0)
+    policy = chosen.build(built.context)
+    read: dict[str, list[str]] = {name: [] for name in observations}
+    with torch.no_grad():
+        for who, asked in (("actor", policy.distribution), ("critic", policy.value)):
+            asked(_Noted(observations, who, read))
+    return {name: f", read by {' and '.join(who) or 'no network'}" for name, who in read.items()}
+
+
+class _Noted(UserDict[str, Tensor]):
+    """Observations that note in `read` which of them `who` looks at."""
+
+    def __init__(
+        self, observations: Mapping[str, Tensor], who: str, read: Mapping[str, list[str]]
+    ) -> None:
+        super().__init__(observations)
+        self._who, self._read = who, read
+
+    def __getitem__(self, name: str) -> Tensor:
+        value = super().__getitem__(name)
+        if self._who not in self._read[name]:
+            self._read[name].append(self._who)
+        return value
 
 
 def names(plugins: Plugins) -> list[str]:

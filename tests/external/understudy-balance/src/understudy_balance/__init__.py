@@ -4,6 +4,7 @@
 PARTS = {
     "reward": {
         "balance/upright": ("terms:upright", "the trunk is upright"),
+        "balance/head": ("head:HeadHeight", "the head is high"),
     },
     "termination": {
         "balance/leaning": ("terms:leaning", "the trunk leans too far"),
