@@ -11,12 +11,12 @@ import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
+from readers import leave_after
 from worlds import child_environment
 
 from understudy.command.cli import main
@@ -132,17 +132,7 @@ def _executing(
         os.dup2(os.open(file, os.O_WRONLY | os.O_APPEND), stream)
     os.chdir(cwd)
     sys.argv = ["-c", *arguments]
-    status: Any = 0
-    try:
-        exec(compile(code, "<string>", "exec"), {"__name__": "__main__"})
-    except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except BaseException:
-        traceback.print_exc()
-        status = 1
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
+    leave_after(lambda: exec(compile(code, "<string>", "exec"), {"__name__": "__main__"}))
 
 
 def forked(

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 _FOUR_FILES = 4  #: standard input, output and error, and where to say how it ended
@@ -128,9 +128,14 @@ def _become(
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = [module, *arguments]
+    leave_after(lambda: runpy.run_module(module, run_name="__main__", alter_sys=True))
+
+
+def leave_after(work: Callable[[], object]) -> NoReturn:
+    """Ends a forked process with the status that an interpreter has which did this `work`, none of the parent's at exit."""
     status: Any = 0
     try:
-        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        work()
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:
