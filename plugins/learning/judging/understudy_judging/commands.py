@@ -38,8 +38,15 @@ _PICTURE = {
     "size": "run.video_size",
     "camera": "run.video_camera",
 }
-
-
+#: How the value of such a word is written.
+_FORMS = {
+    "episodes": "N",
+    "seconds": "S",
+    "size": "WIDTHxHEIGHT",
+    "camera": "DEGREES",
+    "checkpoint": "ITERATION|last|best|SHARE",
+    "half_step": "false",
+}
 #: Keys that say where a run is judged, not what of it.
 _WHERE = ("device", "num_worlds", "simulator.threads")
 #: Of a run folder: where what was drawn otherwise is.
@@ -56,11 +63,7 @@ class Evaluate(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.usage = (
-            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION|last|best|SHARE] "
-            "[half_step=false] [KEY=VALUE …]"
-        )
-        parser.add_argument("run", help="run folder, or a skill")
+        _declare(parser, *_EVALUATION, "checkpoint", "half_step")
 
     def run(self, options: argparse.Namespace) -> int:
         words, half_step = _without_half_step(options.overrides)
@@ -83,6 +86,13 @@ class Evaluate(Command):
             reporter.observers = observers()
             reporter.notify("evaluated", run, tell)
         return 0
+
+
+def _declare(parser: argparse.ArgumentParser, *words: str) -> None:
+    """The argument ``run``, and a usage that names the `words` which may follow it."""
+    forms = " ".join(f"[{word}={_FORMS[word]}]" for word in words)
+    parser.usage = f"{parser.prog} RUN {forms} [KEY=VALUE …]"
+    parser.add_argument("run", help="run folder, or a skill")
 
 
 def _without_half_step(words: Sequence[str]) -> tuple[list[str], bool]:
@@ -112,11 +122,7 @@ class Render(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.usage = (
-            "understudy render RUN [episodes=N] [seconds=S] [size=WIDTHxHEIGHT] [camera=DEGREES] "
-            "[checkpoint=ITERATION|last|best|SHARE] [KEY=VALUE …]"
-        )
-        parser.add_argument("run", help="run folder, or a skill")
+        _declare(parser, *_PICTURE, "checkpoint")
 
     def run(self, options: argparse.Namespace) -> int:
         training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)

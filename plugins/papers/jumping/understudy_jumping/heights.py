@@ -37,13 +37,20 @@ class Heights(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.usage = "understudy jumping heights RUN [--success SHARE] [--step METRES] [--from METRES] [KEY=VALUE …]"
-        parser.add_argument("run", help="run folder, or a skill")
+        parser.add_argument("run", metavar="RUN", help="run folder, or a skill")
         parser.add_argument(
-            "--success", type=share, default=0.5, help="share of attempts (default: 0.5)"
+            "--success",
+            type=share,
+            default=0.5,
+            metavar="SHARE",
+            help="of attempts (default: %(default)s)",
         )
         parser.add_argument(
-            "--step", type=positive, default=0.05, help="m, lower or narrower (default: 0.05)"
+            "--step",
+            type=positive,
+            default=0.05,
+            metavar="METRES",
+            help="lower or narrower (default: %(default)s)",
         )
         parser.add_argument(
             "--from",

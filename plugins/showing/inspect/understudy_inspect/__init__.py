@@ -10,9 +10,9 @@ PARTS = {
         "code": ("code:RecordCode", "which code a run ran"),
     },
     "command": {
-        "experiments": ("commands:ListExperiments", "list what can be trained"),
-        "tasks": ("commands:ListTasks", "list the tasks"),
-        "plugins": ("commands:ListPlugins", "list the plugins and what they provide"),
+        "experiments": ("commands:list_experiments", "list what can be trained"),
+        "tasks": ("commands:list_tasks", "list the tasks"),
+        "plugins": ("commands:list_plugins", "list the plugins and what they provide"),
         "describe": ("commands:Describe", "print a part's options: describe learner/ppo"),
         "config": ("commands:ShowConfiguration", "print every value and where it is from"),
         "replay": ("commands:Replay", "repeat the step in which a run's numbers went wrong"),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,80 +19,91 @@ from understudy_inspect.describe import describe, names, observed
 from understudy_inspect.origins import all_origins
 from understudy_inspect.replay import replay_step
 
+#: What there is, each with what is said of it by name.
+Rows = list[dict[str, Any]]
 
-class ListPlugins(Command):
+
+class Listing(Command):
+    """Prints the `lines` that say what its `rows` are; or, for programs, the rows as JSON."""
+
+    def __init__(
+        self, example: str, rows: Callable[[], Rows], lines: Callable[[Rows], Iterator[str]]
+    ) -> None:
+        self.example, self._rows, self._lines = example, rows, lines
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--json", action="store_true", help="for programs: JSON")
+
+    def run(self, options: argparse.Namespace) -> int:
+        rows = self._rows()
+        for line in [json.dumps(rows, indent=1)] if options.json else self._lines(rows):
+            print(line)
+        return 0
+
+
+def list_plugins() -> Command:
     """Each plugin with its status and components."""
-
-    example = "understudy plugins"
-
-    def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--json", action="store_true", help="for programs: JSON")
-
-    def run(self, options: argparse.Namespace) -> int:
-        plugins = installed()
-        components: dict[str, list[str]] = {}
-        for (kind, name), component in sorted(plugins.registry.components.items()):
-            components.setdefault(component.plugin, []).append(f"{kind}/{name}")
-        rows = [
-            {
-                "name": plugin.name,
-                "distribution": plugin.distribution,
-                "version": plugin.version,
-                "status": plugin.status,
-                "components": components.get(plugin.name, []),
-            }
-            for plugin in plugins.loaded
-        ]
-        if options.json:
-            print(json.dumps(rows, indent=1))
-            return 0
-        for row in rows:
-            print(f"{row['name']} {row['version']} ({row['distribution']}): {row['status']}")
-            for item in row["components"]:
-                print(f"  {item}")
-        return 0
+    return Listing("understudy plugins", _plugins, _plugin_lines)
 
 
-class ListTasks(Command):
+def list_tasks() -> Command:
     """Each task with its summary and plugin."""
-
-    example = "understudy tasks"
-
-    def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--json", action="store_true", help="for programs: JSON")
-
-    def run(self, options: argparse.Namespace) -> int:
-        tasks = sorted(installed().registry.tasks.values(), key=lambda t: t.name)
-        if options.json:
-            print(json.dumps([vars(t) for t in tasks], indent=1))
-            return 0
-        width = max((len(t.name) for t in tasks), default=0)
-        for task in tasks:
-            print(f"{task.name:<{width}}  {task.summary}  [{task.plugin}]")
-        return 0
+    return Listing("understudy tasks", _tasks, _task_lines)
 
 
-class ListExperiments(Command):
+def list_experiments() -> Command:
     """What ``experiment=…`` can choose, with a line on each, plugin by plugin."""
+    return Listing("understudy experiments", _experiments, _experiment_lines)
 
-    example = "understudy experiments"
 
-    def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--json", action="store_true", help="for programs: JSON")
+def _plugins() -> Rows:
+    plugins = installed()
+    components: dict[str, list[str]] = {}
+    for (kind, name), component in sorted(plugins.registry.components.items()):
+        components.setdefault(component.plugin, []).append(f"{kind}/{name}")
+    return [
+        {
+            "name": plugin.name,
+            "distribution": plugin.distribution,
+            "version": plugin.version,
+            "status": plugin.status,
+            "components": components.get(plugin.name, []),
+        }
+        for plugin in plugins.loaded
+    ]
 
-    def run(self, options: argparse.Namespace) -> int:
-        found = list(offers(installed(), "experiment"))
-        if options.json:
-            rows = [{"name": o.name, "plugin": o.plugin, "summary": o.summary} for o in found]
-            print(json.dumps(rows, indent=1))
-            return 0
-        width = max((len(offer.name) for offer in found), default=0)
-        for plugin, group in groupby(found, key=lambda offer: offer.plugin):
-            print(plugin)
-            for offer in group:
-                print(f"  {offer.name:<{width}}  {offer.summary}".rstrip())
-        print("Train one: understudy train experiment=NAME")
-        return 0
+
+def _plugin_lines(rows: Rows) -> Iterator[str]:
+    for row in rows:
+        yield "{name} {version} ({distribution}): {status}".format_map(row)
+        yield from (f"  {component}" for component in row["components"])
+
+
+def _tasks() -> Rows:
+    return [vars(task) for _, task in sorted(installed().registry.tasks.items())]
+
+
+def _task_lines(rows: Rows) -> Iterator[str]:
+    width = _width(rows)
+    for row in rows:
+        yield f"{row['name']:<{width}}  {row['summary']}  [{row['plugin']}]"
+
+
+def _experiments() -> Rows:
+    found = offers(installed(), "experiment")
+    return [{"name": o.name, "plugin": o.plugin, "summary": o.summary} for o in found]
+
+
+def _experiment_lines(rows: Rows) -> Iterator[str]:
+    width = _width(rows)
+    for plugin, group in groupby(rows, key=itemgetter("plugin")):
+        yield plugin
+        yield from (f"  {row['name']:<{width}}  {row['summary']}".rstrip() for row in group)
+    yield "Train one: understudy train experiment=NAME"
+
+
+def _width(rows: Rows) -> int:
+    return max((len(row["name"]) for row in rows), default=0)
 
 
 class Describe(Command):
