@@ -10,6 +10,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context
+from understudy.task.terms import parameters_of
 from understudy_spacetime.bounds import (
     BoundSize,
     ComBound,
@@ -102,20 +103,22 @@ def test_a_bound_is_left_where_all_of_it_is_used(context: Context, bound: Any) -
         JointBound: (turn[:, None].repeat(1, 12, 1), turned(torch.zeros(many, 12))),
         EndEffectorBound: (places[:, None].repeat(1, 4, 1), torch.zeros(many, 4, 3)),
     }[bound]
-    used = term.used(value, reference, phase)
+    own, meant, *_ = parameters_of(term)
+    fields = {own: value, meant: reference, "phase": phase}
+    used = term.used(**fields)
     assert used.dim() == 2
     torch.testing.assert_close(used.amax(1), share, rtol=1e-4, atol=1e-4)
     assert term(value, reference, phase).tolist() == [False, False, False, True, True]
     scales = torch.full((many, 1), 2.0)  # twice as wide a bound
     torch.testing.assert_close(
-        term.used(value, reference, phase, scales).amax(1), share / 2, rtol=1e-4, atol=1e-4
+        term.used(**fields, bound_scales=scales).amax(1), share / 2, rtol=1e-4, atol=1e-4
     )
 
 
 def test_a_bound_of_no_size_is_used_up_at_once(context: Context) -> None:
     bound = ComBound(ComBound.Options(size=0.0), context)
     com = torch.tensor([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]], requires_grad=True)
-    used = bound.used(com, torch.zeros(2, 3), PHASE)
+    used = bound.used(PHASE, com_position=com, reference_com_position=torch.zeros(2, 3))
     assert used[0].tolist() == [0.0, 0.0, 0.0]
     assert used[1].amax() > 1
     used.sum().backward()

@@ -121,18 +121,13 @@ class ToolTarget(Actuation):
         self._place, self._low, self._high = (t.to(context.device) for t in (place, low, high))
 
     def begin(
-        self, tool_position: Tensor, tool_orientation: Tensor, tool_pose: Tensor, tool_rate: Tensor
+        self, tool_position: Tensor, tool_orientation: Tensor, **fields: Tensor
     ) -> dict[str, Tensor]:
         pose = torch.cat([tool_position, euler_angles(tool_orientation)], dim=1)
         return {"tool_pose": pose, "tool_rate": torch.zeros_like(pose)}
 
     def advance(
-        self,
-        action: Tensor,
-        tool_position: Tensor,
-        tool_orientation: Tensor,
-        tool_pose: Tensor,
-        tool_rate: Tensor,
+        self, action: Tensor, tool_pose: Tensor, tool_rate: Tensor, **fields: Tensor
     ) -> dict[str, Tensor]:
         options = self.options
         away = torch.tanh(action) @ self._place
@@ -150,14 +145,7 @@ class ToolTarget(Actuation):
         inside = pose.clamp(self._low, self._high)
         return {"tool_pose": inside, "tool_rate": torch.where(inside == pose, rate, 0.0)}
 
-    def control(
-        self,
-        action: Tensor,
-        tool_position: Tensor,
-        tool_orientation: Tensor,
-        tool_pose: Tensor,
-        tool_rate: Tensor,
-    ) -> Tensor:
+    def control(self, action: Tensor, tool_pose: Tensor, **fields: Tensor) -> Tensor:
         turn = rotations.to_exponential_map(orientation(tool_pose[:, 3:]))
         return torch.cat([tool_pose[:, :3], turn], dim=1)
 

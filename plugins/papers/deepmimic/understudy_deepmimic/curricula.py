@@ -89,40 +89,14 @@ class Stagnation:
         self._best, self._since = state["best"], state["since"]
 
 
-class _Progress:
-    """What both curricula note of a rollout."""
-
-    def __init__(self, patience: int | None, context: Context) -> None:
-        self._recent, self._stagnation = Recent(context.num_worlds), Stagnation(patience)
-
-    def digest(self, rollout: Rollout) -> Episodes:
-        """The last episodes."""
-        episodes = Episodes.ended_in(rollout)
-        recent = self._recent.digest(episodes)
-        if episodes.ended:
-            self._stagnation.digest(recent.mean_return)
-        return recent
-
-    def finished(self) -> bool:
-        return self._stagnation.reached
-
-    def state_dict(self) -> dict[str, Any]:
-        return {
-            "recent": self._recent.state_dict(),
-            "stagnation": self._stagnation.state_dict(),
-        }
-
-    def load_state_dict(self, state: State) -> None:
-        self._recent.load_state_dict(state["recent"])
-        self._stagnation.load_state_dict(state["stagnation"])
-
-
-class _Limit:
-    """How long episodes last that begin now, s, on the device too, changed in place."""
+class _Course:
+    """How long episodes last that begin now, s, on the device too, changed in place; and how the last ones
+    went."""
 
     provides: Mapping[str, Shape] = {"episode_limit": ()}
 
-    def __init__(self, seconds: float, context: Context) -> None:
+    def __init__(self, seconds: float, patience: int | None, context: Context) -> None:
+        self._recent, self._stagnation = Recent(context.num_worlds), Stagnation(patience)
         self.longest = horizon(context.difficulty)
         self._decisions = self.longest / (context.control_dt * context.decision)
         self._on_device = torch.zeros(context.num_worlds, device=context.device)
@@ -135,15 +109,34 @@ class _Limit:
     def begin(self) -> dict[str, Tensor]:
         return {"episode_limit": self._on_device}
 
-    def metrics(self, recent: Episodes) -> dict[str, float]:
+    def digest(self, rollout: Rollout) -> dict[str, float]:
+        """Metrics of the last episodes."""
+        episodes = Episodes.ended_in(rollout)
+        recent = self._recent.digest(episodes)
+        if episodes.ended:
+            self._stagnation.digest(recent.mean_return)
         return {
             "normalised_return": recent.mean_return / self._decisions,
             "fail_rate": recent.fail_rate,
             "episode_limit": self.seconds,
         }
 
+    def finished(self) -> bool:
+        return self._stagnation.reached
+
     def __str__(self) -> str:
         return f"episodes of {self.seconds:.1f} s"
+
+    def state_dict(self) -> dict[str, Any]:
+        """Without how long they last, which each curriculum knows."""
+        return {
+            "recent": self._recent.state_dict(),
+            "stagnation": self._stagnation.state_dict(),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self._recent.load_state_dict(state["recent"])
+        self._stagnation.load_state_dict(state["stagnation"])
 
 
 class Adaptive(Curriculum):
@@ -153,7 +146,7 @@ class Adaptive(Curriculum):
     The training ends when the return has not increased for ``patience`` iterations.
     """
 
-    provides = _Limit.provides
+    provides = _Course.provides
 
     @dataclass(frozen=True)
     class Options:
@@ -169,33 +162,32 @@ class Adaptive(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
-        self._limit = _Limit(options.start, context)
-        self._progress = _Progress(options.patience, context)
+        self._course = _Course(options.start, options.patience, context)
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
-        return self._limit.begin()
+        return self._course.begin()
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        recent, limit = self._progress.digest(rollout), self._limit
-        found = limit.metrics(recent)
-        if recent.fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
-            limit.move(limit.seconds + self._options.step)
-            if limit.seconds == limit.longest:
-                found[f"mark/{limit}"] = 1.0
+        course = self._course
+        found = course.digest(rollout)
+        if found["fail_rate"] < self._options.fail_rate and course.seconds < course.longest:
+            course.move(course.seconds + self._options.step)
+            if course.seconds == course.longest:
+                found[f"mark/{course}"] = 1.0
         return found
 
     def finished(self) -> bool:
-        return self._progress.finished()
+        return self._course.finished()
 
     def stage(self) -> str:
-        return str(self._limit)
+        return str(self._course)
 
     def state_dict(self) -> State:
-        return {"seconds": self._limit.seconds, **self._progress.state_dict()}
+        return {"seconds": self._course.seconds, **self._course.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        self._limit.move(state["seconds"])
-        self._progress.load_state_dict(state)
+        self._course.move(state["seconds"])
+        self._course.load_state_dict(state)
 
 
 class Annealed(Curriculum):
@@ -205,7 +197,7 @@ class Annealed(Curriculum):
     The training ends when the return has not increased for ``patience`` iterations.
     """
 
-    provides = _Limit.provides
+    provides = _Course.provides
 
     @dataclass(frozen=True)
     class Options:
@@ -222,34 +214,33 @@ class Annealed(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
-        self._limit = _Limit(options.start, context)
-        self._progress = _Progress(options.patience, context)
+        self._course = _Course(options.start, options.patience, context)
         self._samples = 0
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
-        return self._limit.begin()
+        return self._course.begin()
 
     def _move(self) -> None:
-        options, limit = self._options, self._limit
+        options, course = self._options, self._course
         share = min(1.0, self._samples / options.samples) ** options.power
-        limit.move(options.start + (limit.longest - options.start) * share)
+        course.move(options.start + (course.longest - options.start) * share)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        found = self._limit.metrics(self._progress.digest(rollout))
+        found = self._course.digest(rollout)
         self._samples += rollout.rewards.numel() * distributed.size()
         self._move()
         return found
 
     def finished(self) -> bool:
-        return self._progress.finished()
+        return self._course.finished()
 
     def stage(self) -> str:
-        return str(self._limit)
+        return str(self._course)
 
     def state_dict(self) -> State:
-        return {"samples": self._samples, **self._progress.state_dict()}
+        return {"samples": self._samples, **self._course.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
         self._samples = state["samples"]
         self._move()
-        self._progress.load_state_dict(state)
+        self._course.load_state_dict(state)

@@ -20,6 +20,9 @@ from understudy_tensors.rotations import angle_between
 
 Size = float | list[list[float]]
 
+#: A bound of size 0 lets nothing be told apart; this share of a unit does.
+_LEAST = 1e-3
+
 
 class BoundSize:
     """The size sigma of a bound, a function of phase.
@@ -63,6 +66,14 @@ class BoundSize:
         share = ((phase - self._phases[left]) / self._steps[left]).clamp(0.0, 1.0)
         return torch.lerp(self._values[left], self._values[left + 1], share)
 
+    def left(self, distances: Tensor, phase: Tensor, scales: Tensor | None) -> Tensor:
+        """(N,) bool: whether any of the `distances` (N, K) is further than the size at `phase` (N,)."""
+        return distances.amax(dim=1) > self.at(phase, scales)
+
+    def share(self, distances: Tensor, phase: Tensor, scales: Tensor | None) -> Tensor:
+        """(N, K): the `distances` (N, K) as shares of the size at `phase` (N,)."""
+        return distances / self.at(phase, scales).clamp(min=_LEAST).view(-1, 1)
+
 
 class ComBound:
     """Centre of mass further than `size` m from the reference along x, y or z of the world."""
@@ -81,18 +92,15 @@ class ComBound:
         phase: Tensor,
         bound_scales: Tensor | None = None,
     ) -> Tensor:
-        distance = (com_position - reference_com_position).abs().amax(dim=1)
-        return distance > self._size.at(phase, bound_scales)
+        distances = self._distances(com_position, reference_com_position)
+        return self._size.left(distances, phase, bound_scales)
 
-    def used(
-        self,
-        com_position: Tensor,
-        reference_com_position: Tensor,
-        phase: Tensor,
-        bound_scales: Tensor | None = None,
-    ) -> Tensor:
-        distance = (com_position - reference_com_position).abs()
-        return _share(distance, self._size.at(phase, bound_scales))
+    def used(self, phase: Tensor, bound_scales: Tensor | None = None, **fields: Tensor) -> Tensor:
+        return self._size.share(self._distances(**fields), phase, bound_scales)
+
+    def _distances(self, com_position: Tensor, reference_com_position: Tensor) -> Tensor:
+        """(N, 3) m"""
+        return (com_position - reference_com_position).abs()
 
 
 class RootBound:
@@ -112,18 +120,15 @@ class RootBound:
         phase: Tensor,
         bound_scales: Tensor | None = None,
     ) -> Tensor:
-        angle = angle_between(root_rotation, reference_root_rotation)
-        return angle > self._size.at(phase, bound_scales)
+        distances = self._distances(root_rotation, reference_root_rotation)
+        return self._size.left(distances, phase, bound_scales)
 
-    def used(
-        self,
-        root_rotation: Tensor,
-        reference_root_rotation: Tensor,
-        phase: Tensor,
-        bound_scales: Tensor | None = None,
-    ) -> Tensor:
-        angle = angle_between(root_rotation, reference_root_rotation)
-        return _share(angle.unsqueeze(1), self._size.at(phase, bound_scales))
+    def used(self, phase: Tensor, bound_scales: Tensor | None = None, **fields: Tensor) -> Tensor:
+        return self._size.share(self._distances(**fields), phase, bound_scales)
+
+    def _distances(self, root_rotation: Tensor, reference_root_rotation: Tensor) -> Tensor:
+        """(N, 1) rad"""
+        return angle_between(root_rotation, reference_root_rotation).unsqueeze(1)
 
 
 class JointBound:
@@ -155,24 +160,18 @@ class JointBound:
         phase: Tensor,
         bound_scales: Tensor | None = None,
     ) -> Tensor:
-        angles = self._angles(joint_rotations, reference_joint_rotations)
-        return angles.amax(dim=1) > self._size.at(phase, bound_scales)
+        distances = self._distances(joint_rotations, reference_joint_rotations)
+        return self._size.left(distances, phase, bound_scales)
 
-    def used(
-        self,
-        joint_rotations: Tensor,
-        reference_joint_rotations: Tensor,
-        phase: Tensor,
-        bound_scales: Tensor | None = None,
-    ) -> Tensor:
-        angles = self._angles(joint_rotations, reference_joint_rotations)
-        return _share(angles, self._size.at(phase, bound_scales))
+    def used(self, phase: Tensor, bound_scales: Tensor | None = None, **fields: Tensor) -> Tensor:
+        return self._size.share(self._distances(**fields), phase, bound_scales)
 
-    def _angles(self, joints: Tensor, reference: Tensor) -> Tensor:
+    def _distances(self, joint_rotations: Tensor, reference_joint_rotations: Tensor) -> Tensor:
         """(N, J) rad"""
-        if self._chosen is not None:
-            joints, reference = joints[:, self._chosen], reference[:, self._chosen]
-        return angle_between(joints, reference)
+        if self._chosen is None:
+            return angle_between(joint_rotations, reference_joint_rotations)
+        own, reference = (r[:, self._chosen] for r in (joint_rotations, reference_joint_rotations))
+        return angle_between(own, reference)
 
 
 class EndEffectorBound:
@@ -193,24 +192,16 @@ class EndEffectorBound:
         phase: Tensor,
         bound_scales: Tensor | None = None,
     ) -> Tensor:
-        offset = aligned_end_effector_positions - reference_end_effector_positions
-        return offset.norm(dim=2).amax(dim=1) > self._size.at(phase, bound_scales)
+        distances = self._distances(
+            aligned_end_effector_positions, reference_end_effector_positions
+        )
+        return self._size.left(distances, phase, bound_scales)
 
-    def used(
-        self,
-        aligned_end_effector_positions: Tensor,
-        reference_end_effector_positions: Tensor,
-        phase: Tensor,
-        bound_scales: Tensor | None = None,
+    def used(self, phase: Tensor, bound_scales: Tensor | None = None, **fields: Tensor) -> Tensor:
+        return self._size.share(self._distances(**fields), phase, bound_scales)
+
+    def _distances(
+        self, aligned_end_effector_positions: Tensor, reference_end_effector_positions: Tensor
     ) -> Tensor:
-        offset = aligned_end_effector_positions - reference_end_effector_positions
-        return _share(offset.norm(dim=2), self._size.at(phase, bound_scales))
-
-
-#: A bound of size 0 lets nothing be told apart; this share of a unit does.
-_LEAST = 1e-3
-
-
-def _share(distance: Tensor, size: Tensor) -> Tensor:
-    """`distance` (N, K) as a share of `size`, () or (N,)."""
-    return distance / size.clamp(min=_LEAST).view(-1, 1)
+        """(N, E) m"""
+        return (aligned_end_effector_positions - reference_end_effector_positions).norm(dim=2)
