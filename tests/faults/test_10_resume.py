@@ -10,14 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 from commands import begin_code, forked, kill, wait_for
-from worlds import (
-    CLI,
-    PADDLE_TASK,
-    SMALL,
-    assert_same_state,
-    make_training,
-    resumed,
-)
+from worlds import CLI, PADDLE_TASK, SMALL, assert_same_state, make_training, resumed
 
 from understudy.random import WorldStreams
 from understudy.records import checkpoint

@@ -10,13 +10,7 @@ import torch
 
 from understudy.errors import ConfigError
 from understudy.task import Context
-from understudy_amorphous.tool import (
-    ToolState,
-    ToolTarget,
-    euler_angles,
-    integrate,
-    orientation,
-)
+from understudy_amorphous.tool import ToolState, ToolTarget, euler_angles, integrate, orientation
 from understudy_tensors import rotations
 
 DT = 1 / 30

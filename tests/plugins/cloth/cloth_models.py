@@ -7,15 +7,7 @@ from typing import Any
 
 from sheets import along, sheet
 
-from understudy_cloth.scene import (
-    Box,
-    Capsule,
-    ClothModel,
-    Fabric,
-    Grip,
-    TaperedCapsule,
-    Tool,
-)
+from understudy_cloth.scene import Box, Capsule, ClothModel, Fabric, Grip, TaperedCapsule, Tool
 
 ARM = Tool(
     (

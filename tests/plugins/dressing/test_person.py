@@ -6,14 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from understudy_dressing.person import (
-    LINKS,
-    PersonScene,
-    limb,
-    sensors,
-    tool_bodies,
-    tools,
-)
+from understudy_dressing.person import LINKS, PersonScene, limb, sensors, tool_bodies, tools
 from understudy_warp_torch.tools import TaperedCapsule
 
 

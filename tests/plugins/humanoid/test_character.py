@@ -6,12 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from understudy_humanoid.character import (
-    BODIES,
-    STANDING_HEIGHT,
-    add_trunk,
-    build_spec,
-)
+from understudy_humanoid.character import BODIES, STANDING_HEIGHT, add_trunk, build_spec
 
 
 @pytest.fixture(scope="module")

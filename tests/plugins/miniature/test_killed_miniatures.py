@@ -8,12 +8,7 @@ from typing import Any
 
 import pytest
 from commands import begin, kill, wait_for
-from miniatures import (
-    JOBS,
-    QUICK,
-    TRAININGS,
-    overrides_of,
-)
+from miniatures import JOBS, QUICK, TRAININGS, overrides_of
 from worlds import assert_same_state
 
 from understudy.command.cli import main

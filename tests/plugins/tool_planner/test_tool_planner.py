@@ -14,15 +14,7 @@ from understudy.errors import ConfigError
 from understudy_gripping.grip import load_grip, standard, tongs, tongs_wide
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
-from understudy_hand.tools import (
-    BAR,
-    GRIPPERS,
-    HALF_LENGTH,
-    RADIUS,
-    Thing,
-    Tool,
-    upper_pose,
-)
+from understudy_hand.tools import BAR, GRIPPERS, HALF_LENGTH, RADIUS, Thing, Tool, upper_pose
 from understudy_tensors import rotations
 from understudy_tool_planner import arm, trajectory
 from understudy_tool_planner.clearance import to_segments

@@ -21,12 +21,7 @@ from understudy_hand.scene import HandScene
 from understudy_hand.table import FINGERS
 from understudy_hand.tools import GRIPPERS, HALF_LENGTH, RADIUS, Tool, upper_pose
 from understudy_tensors import rotations
-from understudy_tensors.segments import (
-    at,
-    nearest_places,
-    place_on_segment,
-    segment_distance,
-)
+from understudy_tensors.segments import at, nearest_places, place_on_segment, segment_distance
 
 #: rad: the range of the angle of the upper part.
 ANGLES = (-0.2, 0.2)

@@ -13,12 +13,7 @@ from understudy.options import check_range
 from understudy_bayes import draws
 from understudy_bayes.acquisition import Acquisition
 from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
-from understudy_diversity.strategies import (
-    DiversityOptions,
-    Feature,
-    Strategies,
-    StrategySearch,
-)
+from understudy_diversity.strategies import DiversityOptions, Feature, Strategies, StrategySearch
 from understudy_diversity.surrogate import Surrogate
 
 

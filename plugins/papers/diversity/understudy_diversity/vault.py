@@ -17,15 +17,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task import (
-    Actuation,
-    Context,
-    Encoder,
-    Fields,
-    InitialStates,
-    Scene,
-    box,
-)
+from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, box
 from understudy_tensors.simulator import TensorSimulator
 
 START, RUN_UP = -1.05, 3.0  #: m, where take-offs are; m/s, how fast all are along x

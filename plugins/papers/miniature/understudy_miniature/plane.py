@@ -16,16 +16,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task import (
-    Actuation,
-    Context,
-    Encoder,
-    Fields,
-    InitialStates,
-    Scene,
-    Shape,
-    box,
-)
+from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, Shape, box
 from understudy_miniature.drawing import draw_points
 from understudy_tensors.simulator import TensorSimulator
 

@@ -11,11 +11,7 @@ from torch import Tensor
 
 from understudy_characters.character import Character
 from understudy_characters.letting_go import LOW, LettingGo, landed, let_go
-from understudy_doctor.character_checks import (
-    check_mapping,
-    check_on_character,
-    missing_joints,
-)
+from understudy_doctor.character_checks import check_mapping, check_on_character, missing_joints
 from understudy_doctor.clip_checks import check_clip, closes
 from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity

@@ -29,14 +29,7 @@ from understudy_doctor.findings import Severity, intervals
 from understudy_doctor.measurements import GRAVITY, Measurements
 from understudy_doctor.proportions import scaled
 from understudy_motion.clip import Clip, cycle_transform, sample
-from understudy_motion.editing import (
-    close_loop,
-    cut,
-    evenly_spaced,
-    find_loop,
-    reach,
-    shift,
-)
+from understudy_motion.editing import close_loop, cut, evenly_spaced, find_loop, reach, shift
 from understudy_tensors import rotations
 
 GROUND_MARGIN = 0.005

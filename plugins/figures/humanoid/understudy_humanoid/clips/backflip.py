@@ -22,14 +22,7 @@ from scipy.optimize import fixed_point
 
 from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import carried, monotone, spline, through
-from understudy_humanoid.clips.limbs import (
-    PlantedLeg,
-    arm,
-    arm_keys,
-    leg_keys,
-    on_legs,
-    planted,
-)
+from understudy_humanoid.clips.limbs import PlantedLeg, arm, arm_keys, leg_keys, on_legs, planted
 from understudy_motion.clip import Clip
 
 #: Seconds: deepest crouch, take-off, tucked, still tucked, open, landing, deepest squat, the end.

@@ -20,14 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips import standing
 from understudy_humanoid.clips.curves import carried, monotone, through
-from understudy_humanoid.clips.figure import (
-    Array,
-    Pose,
-    grid,
-    make_clip,
-    only_key_poses,
-    turns,
-)
+from understudy_humanoid.clips.figure import Array, Pose, grid, make_clip, only_key_poses, turns
 from understudy_humanoid.clips.limbs import (
     HAND,
     PlantedArm,

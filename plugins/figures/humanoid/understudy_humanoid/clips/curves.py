@@ -10,14 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.interpolate import BPoly, CubicSpline, PchipInterpolator
 
-from understudy_humanoid.clips.figure import (
-    GRAVITY,
-    Array,
-    Known,
-    Mask,
-    Pose,
-    centre_of_mass,
-)
+from understudy_humanoid.clips.figure import GRAVITY, Array, Known, Mask, Pose, centre_of_mass
 
 _ROUNDS = 60
 _EXACT = 1e-7  # m

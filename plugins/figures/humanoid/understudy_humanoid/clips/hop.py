@@ -14,14 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips import figure, limbs, standing
 from understudy_humanoid.clips.curves import around, bounce, carried, monotone
-from understudy_humanoid.clips.limbs import (
-    PlantedLeg,
-    arm,
-    arm_keys,
-    leg_keys,
-    on_legs,
-    planted,
-)
+from understudy_humanoid.clips.limbs import PlantedLeg, arm, arm_keys, leg_keys, on_legs, planted
 from understudy_motion.clip import Clip
 
 _REACH = 0.975  #: of the leg at its longest, at take-off

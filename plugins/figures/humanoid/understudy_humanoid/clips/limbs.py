@@ -15,16 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips.curves import bridged
-from understudy_humanoid.clips.figure import (
-    ROWS,
-    SIGN,
-    Array,
-    Mask,
-    Pose,
-    Side,
-    about_y,
-    turns,
-)
+from understudy_humanoid.clips.figure import ROWS, SIGN, Array, Mask, Pose, Side, about_y, turns
 
 #: Longest distance from hip to ankle, and from shoulder to wrist, as a part of the straight limb.
 REACH = 0.99

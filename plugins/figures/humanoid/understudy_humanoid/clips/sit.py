@@ -21,15 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import between, carried
-from understudy_humanoid.clips.limbs import (
-    HAND,
-    arm,
-    arm_keys,
-    arm_to,
-    leg,
-    leg_to,
-    planted,
-)
+from understudy_humanoid.clips.limbs import HAND, arm, arm_keys, arm_to, leg, leg_to, planted
 from understudy_motion.clip import Clip
 
 OVERLAP = 0.08  #: m, of the seat's front edge ahead of the seated hips
