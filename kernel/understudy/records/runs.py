@@ -351,8 +351,7 @@ def open_run(path: str | Path) -> Run:
 
 def newest_state(path: str) -> State:
     """The state of the newest intact checkpoint of the run folder `path`."""
-    state, _ = open_run(path).newest(lambda text: print(text, file=sys.stderr))
-    return state
+    return open_run(path).newest(lambda text: print(text, file=sys.stderr))[0]
 
 
 def differences(old: Any, new: Any, where: str = "") -> list[str]:

@@ -422,12 +422,11 @@ class Environment:
         """Whose numbers went wrong in the states reached by :meth:`advance`, before :meth:`begin`."""
         if bool(self._unsound.any()):
             return ["the actuation or the simulator"]
-        powers = self.parts.combine == "product"
-        values = {
-            t.where: self._evaluate(t) ** (t.weight if powers else 1) for t in self.parts.rewards
-        }
+        terms = self.parts.rewards
+        reward, given = self.rewards.combined([self._evaluate(term) for term in terms])
+        values = {term.where: given[term.name] for term in terms}
         values |= {self.parts.encoders[n].where: value for n, value in self._encode().items()}
-        values = values if any(map(not_all_sound, values.values())) else {"reward": self._reward()}
+        values = values if any(map(not_all_sound, values.values())) else {"reward": reward}
         return [where for where, value in values.items() if not_all_sound(value)]
 
     def _encode(self) -> dict[str, Tensor]:

@@ -30,6 +30,11 @@ class Judgement(ABC):
     complete: bool = True
 
     @property
+    def trials(self) -> int:
+        """How many of the episodes tell something new; intervals are of these."""
+        return self.episodes
+
+    @property
     @abstractmethod
     def objective_value(self) -> float | None:
         """What searches maximise."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from os.path import exists
 from pathlib import Path
 from typing import Any
 
@@ -82,10 +83,10 @@ def readable(override: str) -> str:
             return f"{key}={quoted(value)}"  # which Hydra would strip
         value = value.strip()
         override = f"{key}={value}"
-    structured = value.startswith(("[", "{")) and not _is_file(value)
+    structured = value.startswith(("[", "{")) and not exists(value)
     if not reads(value) and re.fullmatch(_MORE, value):
         return f"{key}={quoted(value)}"
-    if reads(value) or (value.count(",") and not _is_file(value) and not structured):
+    if reads(value) or (value.count(",") and not exists(value) and not structured):
         return override
     if structured:
         words = _each_word(value, lambda word: word if reads(word) else quoted(word))
@@ -114,13 +115,6 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
             continue
         word += sign
     return result + ended()
-
-
-def _is_file(value: str) -> bool:
-    try:
-        return Path(value).exists()
-    except (OSError, ValueError):
-        return False
 
 
 #: Bytes; the longest name of a file.

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -441,32 +441,12 @@ class Imagination(Learner):
         self._capture()
 
 
-class _Watched(Mapping[str, Tensor]):
-    """Observations that note which of them are read."""
-
-    def __init__(self, context: Context) -> None:
-        self._shapes, self._device = context.observation_shapes, context.device
-        self.read: set[str] = set()
-
-    def __getitem__(self, name: str) -> Tensor:
-        shape = self._shapes[name]
-        self.read.add(name)
-        return torch.zeros(1, *shape, device=self._device)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._shapes)
-
-    def __len__(self) -> int:
-        return len(self._shapes)
-
-
-@torch.no_grad()
 def _seen(policy: Policy, context: Context) -> set[str]:
     """The observations that actions follow from: a critic's own are never imagined, so they may be of
     anything."""
-    observations = _Watched(context)
-    policy.distribution(observations)
-    return observations.read
+    shapes = context.observation_shapes.items()
+    none = {name: torch.zeros(1, *shape, device=context.device) for name, shape in shapes}
+    return {name for name, who in policy.readers(none).items() if "actor" in who}
 
 
 def _mean(values: Tensor) -> float:

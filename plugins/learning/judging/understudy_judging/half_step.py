@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from understudy.running.jobs import Judgement
-from understudy_reinforcement.evaluation import Evaluation, wilson_interval
+from understudy_reinforcement.evaluation import wilson_interval
 
 #: Success may differ by this much, as a share, in what is said to be the same.
 TOLERANCE = 0.1
@@ -27,15 +27,10 @@ def difference(first: Judgement, second: Judgement) -> tuple[float, float, float
     if p is None or q is None:
         return None
     (p_low, p_high), (q_low, q_high) = (
-        wilson_interval(rate, _trials(one)) for rate, one in ((p, first), (q, second))
+        wilson_interval(rate, one.trials) for rate, one in ((p, first), (q, second))
     )
     low = q - p - math.hypot(q - q_low, p_high - p)
     return q - p, low, q - p + math.hypot(q_high - q, p - p_low)
-
-
-def _trials(one: Judgement) -> int:
-    """Its episodes; only as many as began differently, where that was counted."""
-    return one.trials if isinstance(one, Evaluation) else one.episodes
 
 
 def verdict(interval: tuple[float, float]) -> str:
@@ -57,7 +52,7 @@ def compared(first: Judgement, hertz: float, second: Judgement) -> dict[str, Any
         return found
     return found | {
         "success_rate": second.success_rate,
-        "success_rate_95": [*wilson_interval(second.success_rate, _trials(second))],
+        "success_rate_95": [*wilson_interval(second.success_rate, second.trials)],
         "difference": apart[0],
         "difference_95": [*apart[1:]],
         "verdict": verdict(apart[1:]),

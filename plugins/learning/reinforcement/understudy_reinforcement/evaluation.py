@@ -64,8 +64,8 @@ class Evaluation(Judgement):
 
     @property
     def trials(self) -> int:
-        """How many episodes tell something new: a deterministic policy does the same from the same start, unless
-        something is drawn on the way. With fewer of them intervals are wider, never too narrow."""
+        """As many as began differently, where that was counted: a deterministic policy does the same from the same
+        start, unless something is drawn on the way. With fewer of them intervals are wider, never too narrow."""
         return self.episodes if self.different_starts is None else self.different_starts
 
     @property

@@ -82,7 +82,7 @@ class Reinforcement(Job):
         self.environment = built.environment
         observations = self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
-        self._unread = _unread(self.policy, observations)
+        self._unread = [name for name, who in self.policy.readers(observations).items() if not who]
         self.learner = experiment.need("learner").build(built.context, self.policy)
         self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
@@ -343,18 +343,3 @@ def _naming(options: Any, where: str, names: Set[str]) -> Iterator[tuple[str, Se
     )
     if found and all(name in names for name in found):
         yield where, found
-
-
-def _unread(policy: Policy, observations: Mapping[str, Tensor]) -> list[str]:
-    """The names of those of the `observations` that neither actor nor critic reads."""
-    read: set[str] = set()
-
-    class Noting(dict[str, Tensor]):
-        def __getitem__(self, name: str) -> Tensor:
-            read.add(name)
-            return super().__getitem__(name)
-
-    with torch.no_grad():
-        policy.distribution(Noting(observations))
-        policy.value(Noting(observations))
-    return [name for name in observations if name not in read]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from abc import ABC, abstractmethod
+from collections import UserDict
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+import torch
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError
@@ -75,6 +77,29 @@ class Policy(nn.Module, ABC):
 
     def schedule(self, samples: int) -> None:
         """Set what follows a schedule (exploration noise) for `samples` consumed so far."""
+
+    @torch.no_grad()
+    def readers(self, observations: Mapping[str, Tensor]) -> dict[str, list[str]]:
+        """By name of the `observations` which of ``actor`` and ``critic`` read it; found by asking both."""
+        found: dict[str, list[str]] = {name: [] for name in observations}
+        for who, asked in (("actor", self.distribution), ("critic", self.value)):
+            asked(_Noting(observations, who, found))
+        return found
+
+
+class _Noting(UserDict[str, Tensor]):
+    """Observations that note in `found` which of them `who` looks at."""
+
+    def __init__(
+        self, observations: Mapping[str, Tensor], who: str, found: Mapping[str, list[str]]
+    ) -> None:
+        super().__init__(observations)
+        self._who, self._found = who, found
+
+    def __getitem__(self, name: str) -> Tensor:
+        if self._who not in self._found[name]:
+            self._found[name].append(self._who)
+        return super().__getitem__(name)
 
 
 @contextlib.contextmanager

@@ -73,7 +73,7 @@ class Heights(Command):
             rate = found.success_rate or 0.0
             tried.append((size, rate))
             if found.complete and rate >= options.success:
-                low, high = wilson_interval(rate, found.episodes)
+                low, high = wilson_interval(rate, found.trials)
                 highest = {_grows(arena): size, "evaluation": found.as_json(samples)}
                 result = {"wanted": options.success, "highest": highest, "tried": tried}
                 runs.open_run(options.run).write_json(FILE, result)

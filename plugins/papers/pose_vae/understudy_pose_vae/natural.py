@@ -22,15 +22,10 @@ class Naturalness(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument(
-            "poses", metavar="POSES", help="run folder that trained a pose auto-encoder"
-        )
+        parser.add_argument("poses", help="run folder that trained a pose auto-encoder")
         # overrides behind them are taken by this one, too
         parser.add_argument(
-            "run",
-            nargs="+",
-            metavar="RUN",
-            help="run folder of any task on a character, or a skill",
+            "run", nargs="+", help="run folder of any task on a character, or a skill"
         )
 
     def run(self, options: argparse.Namespace) -> int:

@@ -8,14 +8,11 @@ import json
 import re
 import textwrap
 import typing
-from collections import UserDict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 import yaml
-from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import REQUIRED, Option, in_words, options_of, schema_of
@@ -119,29 +116,8 @@ def _readers(experiment: Experiment, built: Built) -> dict[str, str]:
     chosen = experiment.one("policy") if "policy" in experiment.registry.slots else None
     if chosen is None:
         return {}
-    observations = built.environment.reset(0)
-    policy = chosen.build(built.context)
-    read: dict[str, list[str]] = {name: [] for name in observations}
-    with torch.no_grad():
-        for who, asked in (("actor", policy.distribution), ("critic", policy.value)):
-            asked(_Noted(observations, who, read))
+    read = chosen.build(built.context).readers(built.environment.reset(0))
     return {name: f", read by {' and '.join(who) or 'no network'}" for name, who in read.items()}
-
-
-class _Noted(UserDict[str, Tensor]):
-    """Observations that note in `read` which of them `who` looks at."""
-
-    def __init__(
-        self, observations: Mapping[str, Tensor], who: str, read: Mapping[str, list[str]]
-    ) -> None:
-        super().__init__(observations)
-        self._who, self._read = who, read
-
-    def __getitem__(self, name: str) -> Tensor:
-        value = super().__getitem__(name)
-        if self._who not in self._read[name]:
-            self._read[name].append(self._who)
-        return value
 
 
 def names(plugins: Plugins) -> list[str]:
