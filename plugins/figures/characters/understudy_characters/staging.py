@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from understudy_characters.character import Character
+from understudy_mujoco.drawing import HORIZON, gradient_sky
 
 __all__ = ["add_floor", "add_sky", "add_sun", "make_solid", "solve_fast", "stage"]
 
@@ -119,16 +120,8 @@ def add_sky(spec: mujoco.MjSpec) -> None:
     """A bright sky, and light from everywhere."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
-    spec.add_texture(
-        name=free_name("sky", spec.textures),
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.62, 0.7, 0.8],
-        width=256,
-        height=1536,
-    )
-    spec.visual.rgba.haze = [0.93, 0.95, 0.98, 1.0]  # the floor fades into the sky
+    gradient_sky(spec, free_name("sky", spec.textures))
+    spec.visual.rgba.haze = [*HORIZON, 1.0]  # the floor fades into the sky
 
 
 def add_sun(spec: mujoco.MjSpec, root: str) -> None:

@@ -17,7 +17,7 @@ from understudy_hand.model import build_spec
 from understudy_hand.robot import Robot, robot_links
 from understudy_hand.table import Link, Measures, links
 from understudy_mujoco.contact import Contact
-from understudy_mujoco.drawing import draw_motion
+from understudy_mujoco.drawing import draw_motion, gradient_sky
 from understudy_mujoco.scene import MujocoScene
 
 __all__ = ["HandScene"]
@@ -115,11 +115,7 @@ class HandScene(MujocoScene):
             diffuse=[0.55, 0.55, 0.55],
             castshadow=True,
         )
-        spec.add_texture(
-            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.93, 0.95, 0.98], rgb2=[0.62, 0.7, 0.8], width=256, height=1536,
-        )  # fmt: skip
+        gradient_sky(spec)
         return spec
 
     @cached_property

@@ -9,7 +9,23 @@ import numpy as np
 
 from understudy_mujoco.opengl import no_opengl
 
-__all__ = ["draw_motion", "open_renderer"]
+__all__ = ["HORIZON", "draw_motion", "gradient_sky", "open_renderer"]
+
+#: Of the sky where it meets the floor.
+HORIZON = (0.93, 0.95, 0.98)
+
+
+def gradient_sky(spec: mujoco.MjSpec, name: str = "sky") -> None:
+    """A bright sky, its texture of that `name`, which no other texture of the model may have."""
+    spec.add_texture(
+        name=name,
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=HORIZON,
+        rgb2=[0.62, 0.7, 0.8],
+        width=256,
+        height=1536,
+    )
 
 
 def open_renderer(
