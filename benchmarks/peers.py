@@ -7,7 +7,7 @@ import argparse
 import json
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,7 @@ from understudy_reinforcement.policy import Policy
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks"
 ENVIRONMENTS, STEPS, HIDDEN = 8, 256, (64, 64)
 
-#: Mean return after (task, samples, seed).
-Train = Callable[[str, int, int], float]
+MakeLearner = Callable[[Context, Policy], Learner]
 
 
 class Collector:
@@ -94,9 +93,7 @@ def _tensor(value: np.ndarray) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float32)
 
 
-def train_ours(
-    task: str, samples: int, seed: int, make_learner: Callable[[Context, Policy], Learner]
-) -> float:
+def train_ours(task: str, samples: int, seed: int, make_learner: MakeLearner) -> float:
     """Mean return of the deterministic policy after `samples`."""
     collector = Collector(task, seed)
     with private_rng(seed, "policy"):
@@ -162,8 +159,16 @@ def evaluate(task: str, act: Callable[[np.ndarray], Any], seed: int, episodes: i
     return statistics.fmean(returns)
 
 
-def compare(description: str, ours: Train, theirs: Train, out: Path, samples: int) -> None:
-    """Train both sides with every seed, print returns and means, append them to `out`."""
+def compare(
+    description: str,
+    make_learner: MakeLearner,
+    find_peer: Callable[[], Any],
+    hyperparameters: Mapping[str, Any],
+    out: Path,
+    samples: int,
+) -> None:
+    """Train our learner, and the peer's algorithm with its `hyperparameters`, with every seed; print returns
+    and means, append them to `out`."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -173,13 +178,20 @@ def compare(description: str, ours: Train, theirs: Train, out: Path, samples: in
     parser.add_argument("--only", choices=("ours", "sb3"))
     parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args()
+
+    def ours(seed: int) -> float:
+        return train_ours(options.task, options.samples, seed, make_learner)
+
+    def theirs(seed: int) -> float:
+        return train_peer(options.task, options.samples, seed, find_peer(), **hyperparameters)
+
     found: dict[str, list[float]] = {}
     for name, train in (("ours", ours), ("sb3", theirs)):
         if options.only not in (None, name):
             continue
         for seed in options.seeds:
             began = time.perf_counter()
-            found.setdefault(name, []).append(train(options.task, options.samples, seed))
+            found.setdefault(name, []).append(train(seed))
             took = time.perf_counter() - began
             print(f"{name} seed {seed}: {found[name][-1]:.1f} ({took:.0f} s)", flush=True)
     for name, values in found.items():

@@ -7,7 +7,9 @@ seed's mean return and both means with standard errors, and appends them to
 
 from __future__ import annotations
 
-from peers import ENVIRONMENTS, RESULTS, STEPS, compare, train_ours, train_peer
+from typing import Any
+
+from peers import ENVIRONMENTS, RESULTS, STEPS, compare
 
 from understudy.task import Context
 from understudy_ppo.learner import PPO
@@ -33,26 +35,22 @@ def make_learner(context: Context, policy: Policy) -> PPO:
     return PPO(options, context, policy)
 
 
-def ours(task: str, samples: int, seed: int) -> float:
-    return train_ours(task, samples, seed, make_learner)
+#: The same, by the peer's names.
+THEIRS = {
+    "batch_size": ENVIRONMENTS * STEPS // MINIBATCHES,
+    "n_epochs": EPOCHS,
+    "gamma": GAMMA,
+    "gae_lambda": LAMBDA,
+    "learning_rate": RATE,
+    "clip_range": CLIP,
+}
 
 
-def theirs(task: str, samples: int, seed: int) -> float:
+def find_peer() -> Any:
     from stable_baselines3 import PPO as PeerPPO
 
-    return train_peer(
-        task,
-        samples,
-        seed,
-        PeerPPO,
-        batch_size=ENVIRONMENTS * STEPS // MINIBATCHES,
-        n_epochs=EPOCHS,
-        gamma=GAMMA,
-        gae_lambda=LAMBDA,
-        learning_rate=RATE,
-        clip_range=CLIP,
-    )
+    return PeerPPO
 
 
 if __name__ == "__main__":
-    compare(__doc__ or "", ours, theirs, RESULTS / "ppo_vs_sb3.jsonl", samples=200_000)
+    compare(__doc__ or "", make_learner, find_peer, THEIRS, RESULTS / "ppo_vs_sb3.jsonl", 200_000)

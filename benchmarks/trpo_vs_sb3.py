@@ -7,7 +7,9 @@ evaluation. Prints each seed's mean return and both means with standard errors, 
 
 from __future__ import annotations
 
-from peers import RESULTS, STEPS, compare, train_ours, train_peer
+from typing import Any
+
+from peers import RESULTS, STEPS, compare
 
 from understudy.task import Context
 from understudy_reinforcement.policy import Policy
@@ -36,30 +38,26 @@ def make_learner(context: Context, policy: Policy) -> TRPO:
     return TRPO(options, context, policy)
 
 
-def ours(task: str, samples: int, seed: int) -> float:
-    return train_ours(task, samples, seed, make_learner)
+#: The same, by the peer's names.
+THEIRS = {
+    "batch_size": VALUE_BATCH,
+    "gamma": GAMMA,
+    "gae_lambda": LAMBDA,
+    "target_kl": KL_LIMIT,
+    "learning_rate": RATE,
+    "cg_max_steps": CG_STEPS,
+    "cg_damping": DAMPING,
+    "line_search_max_iter": SEARCH_STEPS,
+    "line_search_shrinking_factor": SHRINK,
+    "n_critic_updates": VALUE_EPOCHS,
+}
 
 
-def theirs(task: str, samples: int, seed: int) -> float:
+def find_peer() -> Any:
     from sb3_contrib import TRPO as PeerTRPO
 
-    return train_peer(
-        task,
-        samples,
-        seed,
-        PeerTRPO,
-        batch_size=VALUE_BATCH,
-        gamma=GAMMA,
-        gae_lambda=LAMBDA,
-        target_kl=KL_LIMIT,
-        learning_rate=RATE,
-        cg_max_steps=CG_STEPS,
-        cg_damping=DAMPING,
-        line_search_max_iter=SEARCH_STEPS,
-        line_search_shrinking_factor=SHRINK,
-        n_critic_updates=VALUE_EPOCHS,
-    )
+    return PeerTRPO
 
 
 if __name__ == "__main__":
-    compare(__doc__ or "", ours, theirs, RESULTS / "trpo_vs_sb3.jsonl", samples=200_000)
+    compare(__doc__ or "", make_learner, find_peer, THEIRS, RESULTS / "trpo_vs_sb3.jsonl", 200_000)
