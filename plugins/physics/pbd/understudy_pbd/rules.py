@@ -20,11 +20,7 @@ class Particles:
     ``position[world, particle]``.
     """
 
-    worlds: int  #: N
-    count: int  #: P
-    slots: int  #: K, the springs that a particle can have
     dt: float  #: s, of a sub-step
-    device: Any  #: Warp's
     position: Any  #: (N, P) vec3, m
     velocity: Any  #: (N, P) vec3, m/s
     active: Any  #: (N, P) float: 0 is a particle that is not there
@@ -34,7 +30,7 @@ class Particles:
     #: Springs are *slots*: slot k of particle i names its partner j, or is -1; the same spring stands
     #: in a slot of j. Both have the same length. Whoever makes or removes one does it on both sides,
     #: each particle its own slots, so that nothing needs an atomic and results never depend on order.
-    spring_partner: Any  #: (N, P, K) int
+    spring_partner: Any  #: (N, P, K) int; K, how many a particle can have
     spring_length: Any  #: (N, P, K) float, m
     #: Particles within ``reach`` of a particle (and within touching distance) when the sub-step
     #: began to be solved, itself left out, ascending.
@@ -42,6 +38,21 @@ class Particles:
     neighbour_count: Any  #: (N, P) int
     tools: Any  #: the struct of tools and shapes that functions of ``shapes`` take
     substep: Any  #: (N,) int: sub-steps done in the control period; 0 once it is over
+
+    @property
+    def worlds(self) -> int:
+        """N"""
+        return self.position.shape[0]
+
+    @property
+    def count(self) -> int:
+        """P"""
+        return self.position.shape[1]
+
+    @property
+    def device(self) -> Any:
+        """Warp's."""
+        return self.position.device
 
 
 class Rule(ABC):  # noqa: B024 - each of its places may be left empty

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -247,26 +247,10 @@ class ParticleSimulator(WarpSimulator):
         return s, features
 
     def _seen_by_rules(self) -> Particles:
-        s = self._system
-        return Particles(
-            worlds=self._n,
-            count=s.particles,
-            slots=s.spring_partner.shape[2],
-            dt=self._dt,
-            device=wp.device_from_torch(self._device),
-            position=s.position,
-            velocity=s.velocity,
-            active=s.active,
-            radius=s.radius,
-            inverse_mass=s.inverse_mass,
-            material=s.material,
-            spring_partner=s.spring_partner,
-            spring_length=s.spring_length,
-            neighbour=s.neighbour,
-            neighbour_count=s.neighbour_count,
-            tools=s.tools,
-            substep=s.substep,
-        )
+        """The system's arrays of the same names."""
+        names = (field.name for field in fields(Particles))
+        arrays = {name: getattr(self._system, name) for name in names if name != "dt"}
+        return Particles(self._dt, **arrays)
 
     def _advance(self, count: int) -> None:
         """`count` sub-steps; rules are asked between them."""
