@@ -12,18 +12,9 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task import (
-    Actuation,
-    Context,
-    Encoder,
-    Fields,
-    InitialStates,
-    Scene,
-    Shape,
-    Simulator,
-    box,
-)
+from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, Shape, box
 from understudy.task.terms import ranges
+from understudy_tensors.simulator import TensorSimulator
 
 
 class GrainsScene(Scene):
@@ -45,7 +36,7 @@ class GrainsScene(Scene):
         return {"grains": self.options.grains, "tool_radius_m": self.options.tool}
 
 
-class Grains(Simulator):
+class Grains(TensorSimulator):
     """The tool moves at the control's velocity (N, 2), m/s, and grains that it covers on the way are
     pushed to its edge.
 
@@ -60,36 +51,20 @@ class Grains(Simulator):
         self._dt = context.control_dt / context.substeps
         self.fields: Mapping[str, Shape] = {"grains": (scene.grains, 2), "tool": (2,)}
         self.control_size = 2
-        self._grains, self._tool = (
-            torch.zeros(context.num_worlds, *shape, device=context.device)
-            for shape in self.fields.values()
-        )
-
-    def read(self, name: str) -> Tensor:
-        return self._grains if name == "grains" else self._tool
-
-    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        for own, given in ((self._grains, state["grains"]), (self._tool, state["tool"])):
-            own.copy_(torch.where(worlds.view(-1, *[1] * (own.dim() - 1)), given, own))
+        n, device = context.num_worlds, context.device
+        self._state = {k: torch.zeros(n, *v, device=device) for k, v in self.fields.items()}
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
+        grains, tool = self._state.values()
         for _ in range(substeps or self._substeps):
-            self._tool.add_(self._dt * control)
-            away = self._grains - self._tool.unsqueeze(1)
+            tool.add_(self._dt * control)
+            away = grains - tool.unsqueeze(1)
             distance = away.norm(dim=2, keepdim=True).clamp(min=1e-6)
-            pushed = self._tool.unsqueeze(1) + away * (self._radius / distance)
-            self._grains.copy_(torch.where(distance < self._radius, pushed, self._grains))
+            pushed = tool.unsqueeze(1) + away * (self._radius / distance)
+            grains.copy_(torch.where(distance < self._radius, pushed, grains))
 
     def failed(self) -> Tensor:
-        return ~(self._grains.abs() < 1e6).flatten(1).all(dim=1)
-
-    def snapshot(self) -> dict[str, Tensor]:
-        return {"grains": self._grains.clone(), "tool": self._tool.clone()}
-
-    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        if worlds is None:
-            worlds = torch.ones_like(self._tool[:, 0], dtype=torch.bool)
-        self.set_state(worlds, snapshot)
+        return ~(self._state["grains"].abs() < 1e6).flatten(1).all(dim=1)
 
 
 class Clusters(InitialStates):

@@ -23,9 +23,9 @@ from understudy.task import (
     InitialStates,
     Scene,
     Shape,
-    Simulator,
 )
 from understudy_miniature.poses import trained_decoder
+from understudy_tensors.simulator import TensorSimulator
 
 
 class ArmScene(Scene):
@@ -48,7 +48,7 @@ class ArmScene(Scene):
         return {"joints": self.options.joints, "length_m": self.options.length}
 
 
-class Arm(Simulator):
+class Arm(TensorSimulator):
     """Each joint follows its target (N, J), rad, with a first-order lag, exactly.
 
     *Limits:* joints have no inertia and no ranges, and feel no weight.
@@ -60,29 +60,16 @@ class Arm(Simulator):
         scene = context.need_scene(ArmScene, "simulator 'miniature/arm'").options
         self.control_size, self._substeps = scene.joints, context.substeps
         self.fields: Mapping[str, Shape] = {"angles": (scene.joints,)}
-        self._angles = torch.zeros(context.num_worlds, scene.joints, device=context.device)
+        angles = torch.zeros(context.num_worlds, scene.joints, device=context.device)
+        self._state = {"angles": angles}
         self._share = 1 - math.exp(-context.control_dt / context.substeps / scene.lag)
-
-    def read(self, name: str) -> Tensor:
-        return self._angles
-
-    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        self._angles.copy_(torch.where(worlds.unsqueeze(1), state["angles"], self._angles))
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         for _ in range(substeps or self._substeps):
-            self._angles.lerp_(control, self._share)
+            self._state["angles"].lerp_(control, self._share)
 
     def failed(self) -> Tensor:
-        return ~(self._angles.abs() < 1e6).all(dim=1)
-
-    def snapshot(self) -> dict[str, Tensor]:
-        return {"angles": self._angles.clone()}
-
-    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        if worlds is None:
-            worlds = torch.ones_like(self._angles[:, 0], dtype=torch.bool)
-        self.set_state(worlds, snapshot)
+        return ~(self._state["angles"].abs() < 1e6).all(dim=1)
 
 
 class Straight(InitialStates):
