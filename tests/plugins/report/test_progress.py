@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import pytest
 from report_runs import make_run
+from rich.console import Console
 
-from understudy_report.progress import ProgressLine, clock, ending, share
+from understudy_report.progress import LiveLine, ProgressLine, clock, ending, share
 
 
 @pytest.mark.parametrize(
@@ -54,6 +56,17 @@ def test_when_it_ends(
     config = {"evaluation": {"criterion": criterion}, "budget": {"usual_samples": usual}}
     row = {"samples": 250, "seconds": 10.0, "samples_per_second": 50.0}
     assert ending(config, row, left) == words
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_live_line_is_for_terminals(terminal: bool) -> None:
+    line, written = LiveLine("training"), io.StringIO()
+    line.console = Console(file=written, force_terminal=terminal, width=120)
+    line.start()
+    assert line.show(0.5, "12 samples") == terminal
+    line.stop()
+    assert ("training" in written.getvalue()) == terminal
+    assert ("12 samples" in written.getvalue()) == terminal
 
 
 def test_clock() -> None:

@@ -5,13 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, TextColumn
-from rich.progress import Progress as Bar
-
-from understudy_report.progress import clock
+from understudy_report.progress import LiveLine, clock
 from understudy_report.values import Row
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result, best_of, told
@@ -25,26 +20,17 @@ class Progress:
     """
 
     def __init__(self, plan: Collection[str]) -> None:
-        self._console = Console(stderr=True, highlight=False)
+        self._line = LiveLine("sweep")
         self._plan = plan  #: keys of all trials; none if they are not known
-        self._bar: Bar | None = None
-        self._task: Any = None
         self._began: tuple[float, float | None] | None = None
         self._told = ""
 
     def __enter__(self) -> Progress:
-        if self._console.is_terminal:
-            self._bar = Bar(
-                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
-                console=self._console, transient=True,
-            )  # fmt: skip
-            self._bar.start()
-            self._task = self._bar.add_task("sweep", total=1.0, note="")
+        self._line.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._line.stop()
 
     def show(
         self, journal: Journal, share: float | None, running: int, summary: Sequence[Row] = ()
@@ -55,10 +41,8 @@ class Progress:
         text = describe(journal, self._plan, running, summary)
         left = time_left(now - self._began[0], self._began[1], share)
         note = text if left is None else f"{text} · about {clock(left)} left"
-        if self._bar is not None:
-            self._bar.update(self._task, completed=share or 0.0, note=note)
-        elif text != self._told:
-            self._console.print(note, soft_wrap=True)
+        if not self._line.show(share or 0.0, note) and text != self._told:
+            self._line.console.print(note, soft_wrap=True)
         self._told = text
 
 

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 
-__all__ = ["clock"]
+__all__ = ["LiveLine", "clock"]
 
 #: Seconds between lines where there is no terminal.
 _PAUSE = 10.0
@@ -21,26 +21,49 @@ _PAUSE = 10.0
 _EARLY = 0.25
 
 
+class LiveLine:
+    """A bar and a note beside it on a terminal, once started; elsewhere there is none."""
+
+    def __init__(self, what: str) -> None:
+        self.console = Console(stderr=True, highlight=False)
+        self._what = what
+        self._bar: Progress | None = None
+        self._task = TaskID(0)
+
+    def start(self) -> None:
+        if self.console.is_terminal:
+            self._bar = Progress(
+                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
+                console=self.console, transient=True,
+            )  # fmt: skip
+            self._bar.start()
+            self._task = self._bar.add_task(self._what, total=1.0, note="")
+
+    def show(self, share: float, note: str) -> bool:
+        """Move the bar to that `share`; returns whether there is one."""
+        if self._bar is None:
+            return False
+        self._bar.update(self._task, completed=share, note=note)
+        return True
+
+    def stop(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
 class ProgressLine(RunObserver):
     """Shows samples, speed, returns, and the time that the budget leaves."""
 
     def __init__(self) -> None:
-        self._console = Console(stderr=True, highlight=False)
-        self._live: Progress | None = None
-        self._task = TaskID(0)
+        self._line = LiveLine("training")
         self._printed = 0.0
         self._first: Mapping[str, float] | None = None
 
     def started(self, run: Run) -> None:
         where = shlex.quote(str(run.path))
-        self._console.print(f"Curves: tensorboard --logdir {where}", soft_wrap=True, markup=False)
-        if self._console.is_terminal:
-            self._live = Progress(
-                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
-                console=self._console, transient=True,
-            )  # fmt: skip
-            self._live.start()
-            self._task = self._live.add_task("training", total=1.0, note="")
+        text = f"Curves: tensorboard --logdir {where}"
+        self._line.console.print(text, soft_wrap=True, markup=False)
+        self._line.start()
 
     def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
         self._first = self._first or row
@@ -59,15 +82,12 @@ class ProgressLine(RunObserver):
         if ends:
             parts.append(ends)
         text = " · ".join(parts)
-        if self._live is not None:
-            self._live.update(self._task, completed=done, note=text)
-        elif time.monotonic() - self._printed > _PAUSE:
+        if not self._line.show(done, text) and time.monotonic() - self._printed > _PAUSE:
             self._printed = time.monotonic()
-            self._console.print(text, soft_wrap=True)
+            self._line.console.print(text, soft_wrap=True)
 
     def finished(self, run: Run, outcome: str) -> None:
-        if self._live is not None:
-            self._live.stop()
+        self._line.stop()
 
 
 def share(
