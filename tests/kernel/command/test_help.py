@@ -14,7 +14,7 @@ NAMES = installed().registry.names("command")
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_example_and_the_keys(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    command = installed().registry.find("command", name).factory
+    command = installed().registry.find("command", name).factory()
     with pytest.raises(SystemExit, match="0"):
         main([*name.split(), "--help"])
     said = capsys.readouterr().out
