@@ -67,27 +67,22 @@ def processor_seconds() -> float:
 
 def main(options: list[str]) -> int:
     adopt_orphans()
-    waiting, failed, lock = groups(), [], threading.Lock()
+    failed, lock = [], threading.Lock()
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # a core for each process
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes read the same files
 
-    def work() -> None:
-        while True:
-            with lock:
-                if not waiting:
-                    return
-                group = waiting.pop(0)
-            command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
-            done = subprocess.run(
-                command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-            with lock:
-                print(done.stdout, flush=True)
-                if done.returncode not in (0, 5):  # 5: no test of it was asked for
-                    failed.append(group)
+    def work(group: list[Path]) -> None:
+        command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
+        done = subprocess.run(
+            command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        with lock:
+            print(done.stdout, flush=True)
+            if done.returncode not in (0, 5):  # 5: no test of it was asked for
+                failed.append(group)
 
-    workers = [threading.Thread(target=work) for _ in range(SIDE_BY_SIDE)]
+    workers = [threading.Thread(target=work, args=(group,)) for group in groups()]
     for worker in workers:
         worker.start()
     for worker in workers:
