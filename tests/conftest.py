@@ -10,6 +10,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import understudy_mujoco  # noqa: F401 # isort: skip - it chooses what draws before mujoco is imported
+import coarse_films
+import mujoco
 import pytest
 import readers
 import torch
@@ -31,6 +33,8 @@ torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 pytest.MonkeyPatch().setattr(
     apart, "subprocess", SimpleNamespace(run=readers.run, TimeoutExpired=subprocess.TimeoutExpired)
 )
+
+mujoco.Renderer.__init__ = coarse_films.coarse
 
 gc.disable()  # of the million objects that imports make hardly one goes
 
@@ -63,6 +67,12 @@ def built_on(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fresh_readers(monkeypatch: pytest.MonkeyPatch) -> None:
     """What reads strangers' files is a fresh interpreter, no fork."""
     monkeypatch.setattr(apart, "subprocess", subprocess)
+
+
+@pytest.fixture
+def fine_films(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are as the product draws them."""
+    monkeypatch.setattr(mujoco.Renderer, "__init__", coarse_films.fine)
 
 
 @pytest.fixture

@@ -9,41 +9,67 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
+from understudy_bayes import acquisition
 from understudy_bayes.surrogate import Surrogate
 from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 #: What happened, in order: a trial is asked for, or reported on.
 Told = list[Trial | Report]
 
-#: What fits found, by all that they depend on.
+#: What fits found, and where ascents came to, by all that they depend on.
 _found: dict[bytes, dict[str, Any]] = {}
+_ascents: dict[bytes, tuple[Tensor, Tensor]] = {}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def fits_once() -> Iterator[None]:
-    """A model's fit of the same numbers from the same random state is not computed again."""
-    fit = Surrogate._fit
+    """A model's fit of the same numbers from the same random state is not computed again, nor an ascent from the same
+    places of what has the same values and slopes there, to the bit."""
+    fit, ascend = Surrogate._fit, acquisition._ascended
 
-    def once(self: Surrogate) -> None:
-        model, known = self._model, hashlib.sha256(str(self._model).encode())
-        for value in (self._x, self._y, torch.get_rng_state(), *model.state_dict().values()):
-            known.update(f"{value.shape}".encode() + value.numpy().tobytes())
-        key = known.digest()
+    def fit_once(self: Surrogate) -> None:
+        model = self._model
+        values = (self._x, self._y, torch.get_rng_state(), *model.state_dict().values())
+        key = _digest(str(self._model), *values)
         if key in _found:
             model.load_state_dict(_found[key])
         else:
             fit(self)
             _found[key] = {name: value.clone() for name, value in model.state_dict().items()}
 
+    def ascend_once(
+        function: acquisition.Acquisition, starts: Tensor, *limits: Any
+    ) -> tuple[Tensor, Tensor]:
+        places = starts.clone().requires_grad_()
+        values = function(places)
+        (slopes,) = torch.autograd.grad(values.sum(), places)
+        key = _digest(
+            str(limits), starts, values.detach(), slopes, *filter(torch.is_tensor, limits)
+        )
+        if key not in _ascents:
+            _ascents[key] = ascend(function, starts, *limits)
+        places, values = _ascents[key]
+        return places.clone(), values.clone()
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Surrogate, "_fit", once)
+        patch.setattr(Surrogate, "_fit", fit_once)
+        patch.setattr(acquisition, "_ascended", ascend_once)
         yield
 
 
+def _digest(of: str, *values: Tensor) -> bytes:
+    known = hashlib.sha256(of.encode())
+    for value in values:
+        known.update(f"{value.shape}".encode() + value.numpy().tobytes())
+    return known.digest()
+
+
 def forget_fits() -> None:
-    """From here on fits are computed, as by a new process."""
+    """From here on fits and ascents are computed, as by a new process."""
     _found.clear()
+    _ascents.clear()
 
 
 def retold(loop: OuterLoop, told: Sequence[Trial | Report]) -> Told:

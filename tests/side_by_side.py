@@ -1,7 +1,8 @@
-"""All tests of ``make test``, in as many processes as there are groups at hand, two at a time.
+"""All tests of ``make test``, in two processes side by side, about half of them each.
 
-Not pytest-xdist: its workers take signals that the tests of stop signals send. A group is a process of its
-own, so nothing is shared but the machine; what it prints is shown when it ends::
+Not pytest-xdist: its workers take signals that the tests of stop signals send. No more processes than that: each
+imports everything, starts the servers that tests fork from, and settles garments and generates clips once. What a
+process prints is shown when it ends::
 
     python tests/side_by_side.py [options of pytest]
 """
@@ -20,24 +21,20 @@ from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent
 SIDE_BY_SIDE = 2
-#: What takes longest by itself, and so begins first.
-LONG = ("faults", "test_parts_and_tasks.py")
-#: The plugins' folders are dealt to so many groups; each imports everything once.
-PLUGIN_GROUPS = 3
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
 def groups() -> list[list[Path]]:
-    """What each process runs, what takes longest first; together it is everything in ``tests``."""
-    plugins: list[list[Path]] = [[] for _ in range(PLUGIN_GROUPS)]
-    sizes = [0] * PLUGIN_GROUPS
-    found = [path for path in (TESTS / "plugins").iterdir() if is_tests(path)]
-    for path in sorted(found, key=lines, reverse=True):
+    """What each process runs, about as many lines; together it is everything in ``tests``."""
+    dealt: list[list[Path]] = [[] for _ in range(SIDE_BY_SIDE)]
+    sizes = [0] * SIDE_BY_SIDE
+    found = [*TESTS.iterdir(), *(TESTS / "plugins").iterdir()]
+    tests = [path for path in found if is_tests(path) and path.name != "plugins"]
+    for path in sorted(tests, key=lambda path: (-lines(path), path)):
         least = sizes.index(min(sizes))
-        plugins[least].append(path)
+        dealt[least].append(path)
         sizes[least] += lines(path)
-    rest = [p for p in TESTS.iterdir() if is_tests(p) and p.name not in (*LONG, "plugins")]
-    return [*([TESTS / name] for name in LONG), *plugins, sorted(rest)]
+    return [sorted(group) for group in dealt]
 
 
 def is_tests(path: Path) -> bool:
@@ -70,27 +67,22 @@ def processor_seconds() -> float:
 
 def main(options: list[str]) -> int:
     adopt_orphans()
-    waiting, failed, lock = groups(), [], threading.Lock()
+    failed, lock = [], threading.Lock()
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # a core for each process
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes read the same files
 
-    def work() -> None:
-        while True:
-            with lock:
-                if not waiting:
-                    return
-                group = waiting.pop(0)
-            command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
-            done = subprocess.run(
-                command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-            with lock:
-                print(done.stdout, flush=True)
-                if done.returncode not in (0, 5):  # 5: no test of it was asked for
-                    failed.append(group)
+    def work(group: list[Path]) -> None:
+        command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
+        done = subprocess.run(
+            command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        with lock:
+            print(done.stdout, flush=True)
+            if done.returncode not in (0, 5):  # 5: no test of it was asked for
+                failed.append(group)
 
-    workers = [threading.Thread(target=work) for _ in range(SIDE_BY_SIDE)]
+    workers = [threading.Thread(target=work, args=(group,)) for group in groups()]
     for worker in workers:
         worker.start()
     for worker in workers:

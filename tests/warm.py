@@ -9,6 +9,8 @@ import contextlib
 import gc
 import importlib
 
+import coarse_films
+import mujoco
 import torch
 
 from understudy.setup.composition import load_experiment
@@ -31,5 +33,6 @@ for component in installed().registry.components.values():
         with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
             _ = component.factory
 load_experiment(["experiment=miniature/stop"])
+mujoco.Renderer.__init__ = coarse_films.coarse
 gc.freeze()  # and no fork has to go through it
 gc.enable()

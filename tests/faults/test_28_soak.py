@@ -22,7 +22,7 @@ def test_three_minutes() -> None:
 
 def test_it_is_watched() -> None:
     """Some seconds of it, so that the long one cannot rot."""
-    found = soak(0.1, ("num_worlds=16",))
+    found = soak(0.05, ("num_worlds=16",))
     assert found["descriptors"]["rise"] == pytest.approx(0.0, abs=0.3)
     assert found["samples_per_cpu_second"]["mean"] > 0
 

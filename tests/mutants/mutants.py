@@ -715,8 +715,15 @@ MUTANTS = (
     Mutant(
         "a composition changes no file of options that is kept",
         f"{KERNEL}/setup/option_files.py",
-        "copy.deepcopy(kept)",
-        "kept",
+        "import pickle\n",
+        "from types import SimpleNamespace\n\npickle = SimpleNamespace(dumps=lambda x: x, loads=lambda x: x)\n",
         "tests/kernel/setup/test_option_files.py -k handed_out",
+    ),
+    Mutant(
+        "a figure's reference tables are no other figure's",
+        "plugins/figures/characters/understudy_characters/reference.py",
+        "hashlib.sha256(model_digest(character.model))",
+        "hashlib.sha256()",
+        "tests/plugins/characters/test_reference.py -k tabulated",
     ),
 )  # fmt: skip

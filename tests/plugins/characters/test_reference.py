@@ -69,6 +69,36 @@ def reference(
     return ReferenceMotion(CLIPS[request.param](), character, layout, control_dt=DT)
 
 
+def test_the_same_content_is_tabulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    tabulated = []
+    computed = ReferenceMotion._tabulate
+    monkeypatch.setattr(
+        ReferenceMotion, "_tabulate", lambda *given: tabulated.append(1) or computed(*given)
+    )
+    clip = replace(generated_walk(), name="tabulated once")
+    clip.root_position[:, 2] += 0.125
+
+    def reference(spec: mujoco.MjSpec, clip: Clip, dt: float = DT) -> ReferenceMotion:
+        own = Character("humanoid", spec.compile())
+        return ReferenceMotion(clip, own, layout_of(own), control_dt=dt)
+
+    first = reference(build_spec(), clip)
+    again = reference(build_spec(), replace(clip, name="another name"))
+    assert len(tabulated) == 1
+    assert again.height_offset == first.height_offset
+    times = torch.linspace(0.0, 1.0, 9)
+    for name, value in first.sample(times).items():
+        torch.testing.assert_close(again.sample(times)[name], value, atol=0.0, rtol=0.0)
+    thicker = build_spec()
+    thicker.geoms[-1].size *= 1.5
+    higher = replace(clip, root_position=clip.root_position + 0.01)
+    reference(thicker, clip)
+    reference(build_spec(), higher)
+    reference(build_spec(), clip, dt=2 * DT)
+    reference(build_spec(), replace(clip, loop=False))
+    assert len(tabulated) == 5
+
+
 def test_matches_the_clip(reference: ReferenceMotion, character: Character, layout: Layout) -> None:
     times = torch.rand(64, generator=torch.Generator().manual_seed(0)) * 7.0 * reference.duration
     expected = character.qpos(reference.clip, times)

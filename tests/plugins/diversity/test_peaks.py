@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import forked
 
 from understudy.command.cli import main
 from understudy_diversity.peaks import Take, take_of
@@ -130,12 +129,13 @@ def test_a_film_of_the_future_is_of_its_recording_alone(trained: Path, tmp_path:
     assert again.film.stat().st_ino == kept, "and it is drawn once"
 
 
-def test_the_gallery_says_nothing_of_sweeps_without_its_libraries() -> None:
+def test_the_gallery_says_nothing_of_sweeps_without_its_libraries(tmp_path: Path) -> None:
     """It is asked about every sweep, and those of other loops have nothing to show in it."""
     code = (
-        "import sys; sys.modules.update(botorch=None, gpytorch=None)\n"
+        "import sys; assert not {'botorch', 'gpytorch', 'understudy_diversity.gallery'} & {*sys.modules}\n"
+        "sys.modules.update(botorch=None, gpytorch=None)\n"
         "from understudy.setup.plugins import installed\n"
         "installed().registry.find('sweep_page', 'diversity/gallery').factory()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = forked(code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from commands import forked
 from hypothesis import given, settings
 from motion_files import walker
 from moving_figures import angle_error, boxes, clips, position_error
@@ -209,9 +208,8 @@ try:
 except FileError as error:
     print(error)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+    done = forked(code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
     assert "pip install 'understudy[usd]'" in done.stdout
     assert [file.name for file in tmp_path.iterdir()] == ["clip.glb"]
 

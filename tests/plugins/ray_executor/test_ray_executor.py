@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import functools
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import executors
 import pytest
+from commands import forked
 from executors import SMALL_STOP, TRIALS, iterations, make, work
 
 pytest.importorskip("ray", reason="ray is not installed (the extra 'ray')")
 
 import ray
-from worlds import child_environment
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, UnderstudyError
@@ -130,10 +128,7 @@ def test_without_ray_a_sentence_says_how_to_install_it(tmp_path: Path) -> None:
         "executor=ray",
         f"run.dir={tmp_path / 's'}",
     ]
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_RAY, *arguments],
-        env=child_environment(), capture_output=True, text=True, timeout=100,
-    )  # fmt: skip
+    done = forked(WITHOUT_RAY, *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert "pip install 'understudy[ray]'" in done.stderr
     assert "Traceback" not in done.stderr

@@ -16,6 +16,7 @@ import trimesh
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
 from understudy.setup.plugins import installed
+from understudy_characters import room_drawing
 from understudy_sitting.trials import FILE, TransitionsSection
 
 TINY = (
@@ -54,7 +55,10 @@ def test_trials_say_what_was_judged(controller: Path) -> None:
     assert 0.5 < found["all"]["distance_mean"] < 2.5
 
 
-def test_a_room_is_filmed(controller: Path, tmp_path: Path) -> None:
+def test_a_room_is_filmed(
+    controller: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(room_drawing, "_EVERY", 6)  # each frame has shadows of a whole room
     film = tmp_path / "room.mp4"
     words = ("--trials", "2", "evaluation.seconds=0.4")
     assert main(["sitting", "room", str(controller), str(film), *words]) == 0

@@ -62,6 +62,7 @@ def test_the_example_room_is_in_the_way() -> None:
     assert built.environment.step(built.environment.action).rewards.isfinite().all()
 
 
+@pytest.mark.usefixtures("fine_films")
 def test_shadows_in_the_example_room_have_no_specks() -> None:
     """Dark pixels between bright ones, in rows: the figure and the furniture have a few at their edges."""
     built = build("experiment=sitting/sit", "num_worlds=1", "+room={}")

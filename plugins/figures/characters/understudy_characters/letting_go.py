@@ -173,11 +173,12 @@ def _surface(character: Character, qpos: torch.Tensor) -> np.ndarray:
     """(F, P, 3) m: points of the figure's surface in the poses `qpos` (F, nq)."""
     owners, points = surface_points(character)
     model, data = character.model, mujoco.MjData(character.model)
-    carriers = [character.joints[owner].body for owner in owners]
-    places, axes = np.zeros((len(qpos), len(owners), 3)), np.zeros((len(qpos), len(owners), 9))
+    bodies = [joint.body for joint in character.joints]
+    places, axes = np.zeros((len(qpos), len(bodies), 3)), np.zeros((len(qpos), len(bodies), 9))
     for frame, data.qpos[:] in enumerate(qpos.numpy()):
         mujoco.mj_kinematics(model, data)
-        places[frame], axes[frame] = data.xpos[carriers], data.xmat[carriers]
+        places[frame], axes[frame] = data.xpos[bodies], data.xmat[bodies]
+    places, axes = places[:, owners], axes[:, owners]
     return places + np.einsum("fpij,pj->fpi", axes.reshape(*places.shape, 3), points.numpy())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 
@@ -16,6 +17,7 @@ from understudy_characters.servos import lags
 from understudy_characters.state import Poses
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
 from understudy_motion.section import Floor
+from understudy_mujoco.scene import model_digest
 from understudy_tensors import rotations
 
 __all__ = ["ReferenceMotion"]
@@ -30,6 +32,10 @@ _INSTANT, _CLOSED = 1e-6, 1e-3
 _FALLING, _HALF_SPAN = -0.5 * 9.81, 0.03
 #: s: a motion has ended when so little of it is left.
 _LAST = 1e-4
+#: Tables by what they are computed of, and how far the root was raised: training, evaluation and each skill that one
+#: controls ask for the same ones.
+_tables: dict[bytes, tuple[dict[str, Tensor], float]] = {}
+_MOST = 32  #: of them are kept, of some 1 MB each
 
 
 def difference_qvel(layout: Layout, nv: int, before: Tensor, after: Tensor, dt: float) -> Tensor:
@@ -81,7 +87,7 @@ class ReferenceMotion:
         self._root_dof = layout.root_dof
         rows = max(2, math.ceil(clip.duration / control_dt * OVERSAMPLING) + 1)
         times = torch.linspace(0.0, clip.duration, rows, dtype=torch.float64)
-        fields = self._tabulate(character, layout, times, floor)
+        fields = self._tables(character, layout, times, floor)
         self.sinks = float(fields["reference_link_clearances"].min()) < -1e-9  #: into the floor
         self._shapes = {name: tuple(value.shape[1:]) for name, value in fields.items()}
         self._table = torch.cat([v.flatten(1) for v in fields.values()], dim=1).float().to(device)
@@ -90,6 +96,27 @@ class ReferenceMotion:
         still = CycleTransform(torch.zeros(2, dtype=torch.float64), 0.0)
         self._cycle = cycle_transform(clip) if clip.loop else still
         self._stride = torch.tensor([*self._cycle.displacement.tolist(), 0.0], device=device)
+
+    def _tables(
+        self, character: Character, layout: Layout, times: Tensor, floor: Floor
+    ) -> dict[str, Tensor]:
+        """What :meth:`_tabulate` gives, computed once a process for the same content."""
+        clip = self.clip
+        of = (clip.times, clip.root_position, clip.rotations, times, *vars(layout).values())
+        found = hashlib.sha256(model_digest(character.model))
+        for part in (*of, clip.joint_names, clip.loop, floor):
+            if isinstance(part, Tensor):
+                found.update(part.numpy().tobytes())
+                part = tuple(part.shape)
+            found.update(repr(part).encode())
+        key = found.digest()
+        if key not in _tables:
+            fields = self._tabulate(character, layout, times, floor)
+            if len(_tables) >= _MOST:
+                _tables.clear()
+            _tables[key] = fields, self.height_offset
+        fields, self.height_offset = _tables[key]
+        return fields
 
     def _tabulate(
         self, character: Character, layout: Layout, times: Tensor, floor: Floor

@@ -27,6 +27,7 @@ from understudy_gripping.hold import hold, placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import GRIPPERS, upper_pose
+from understudy_mujoco.scene import model_digest
 from understudy_tensors import rotations
 from understudy_tensors.groups import Groups
 
@@ -155,9 +156,7 @@ def _settled(
 
 def _digest(scene: HandScene, *arrays: np.ndarray) -> bytes:
     """Of the scene as it is simulated, and of these."""
-    model = np.empty(mujoco.mj_sizeModel(scene.model), np.uint8)
-    mujoco.mj_saveModel(scene.model, None, model)
-    found = hashlib.sha256(model.tobytes())
+    found = hashlib.sha256(model_digest(scene.model))
     found.update(repr(scene.tool_bodies).encode())
     for array in arrays:
         found.update(array.tobytes())

@@ -21,7 +21,7 @@ from understudy_mujoco.contact import Contact
 from understudy_mujoco.mjcf import read_mjcf, split_root
 from understudy_mujoco.trial import spec_of, try_out
 
-__all__ = ["LICENCES", "MjcfFile", "MujocoScene"]
+__all__ = ["LICENCES", "MjcfFile", "MujocoScene", "model_digest"]
 
 #: Files beside a model that say on what terms it may be used, which a run keeps with it; and most bytes.
 LICENCES = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")
@@ -37,6 +37,13 @@ def _log_nothing() -> None:
 
 
 _log_nothing()
+
+
+def model_digest(model: mujoco.MjModel) -> bytes:
+    """SHA-256 of all that `model` has, names and options included: what is computed of it alone need be computed once."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.tobytes()).digest()
 
 
 class MujocoScene(Scene):

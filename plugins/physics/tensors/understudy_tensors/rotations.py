@@ -60,7 +60,7 @@ def canonical(q: Tensor) -> Tensor:
 
 def conjugate(q: Tensor) -> Tensor:
     """The inverse rotation of a unit quaternion. (..., 4) -> (..., 4)."""
-    return torch.cat((q[..., :1], -q[..., 1:]), dim=-1)
+    return q * _axes((1, -1, -1, -1), q.dtype, q.device)
 
 
 def multiply(a: Tensor, b: Tensor) -> Tensor:
@@ -183,8 +183,10 @@ def _circle(angle: Tensor) -> Tensor:
 
 
 @lru_cache
-def _axes(rows: tuple[tuple[int, ...], ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """The constant matrix of these rows, made once."""
+def _axes(
+    rows: tuple[int, ...] | tuple[tuple[int, ...], ...], dtype: torch.dtype, device: torch.device
+) -> Tensor:
+    """The constant matrix of these rows, or vector of these numbers, made once."""
     return torch.tensor(rows, dtype=dtype, device=device)
 
 
@@ -221,8 +223,10 @@ def tangent_normal(q: Tensor) -> Tensor:
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:
-    """The cross product with full broadcasting, which ``torch.linalg.cross`` lacks."""
-    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+    """The cross product with full broadcasting: ``torch.linalg.cross`` wants as many dimensions of both."""
+    if a.dim() != b.dim():
+        a, b = torch.broadcast_tensors(a, b)
+    return torch.linalg.cross(a, b)
 
 
 def _products(q: Tensor) -> Tensor:

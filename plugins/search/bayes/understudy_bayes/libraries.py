@@ -11,6 +11,7 @@ try:
     from gpytorch.means import ConstantMean, Mean
     from gpytorch.mlls import ExactMarginalLogLikelihood
     from gpytorch.priors import LogNormalPrior, NormalPrior
+    from gpytorch.settings import debug
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -29,6 +30,7 @@ __all__ = [
     "ProductKernel",
     "RBFKernel",
     "SingleTaskGP",
+    "debug",
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
