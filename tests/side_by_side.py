@@ -1,8 +1,8 @@
 """All tests of ``make test``, in two processes side by side, about half of them each.
 
 Not pytest-xdist: its workers take signals that the tests of stop signals send. No more processes than that: each
-imports everything, starts the servers that tests fork from, and settles garments and generates clips once. What a
-process prints is shown when it ends::
+imports everything, starts the servers that tests fork from, and settles garments and generates clips once. A line of
+progress is shown when it is whole; what is said of failures, when the process ends::
 
     python tests/side_by_side.py [options of pytest]
 """
@@ -73,13 +73,20 @@ def main(options: list[str]) -> int:
 
     def work(group: list[Path]) -> None:
         command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
-        done = subprocess.run(
+        said = []
+        with subprocess.Popen(
             command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+        ) as process:  # fmt: skip
+            assert process.stdout is not None
+            for line in process.stdout:
+                if said or (line.startswith("====") and "test session starts" not in line):
+                    said.append(line)
+                else:
+                    print(line, end="", flush=True)
         with lock:
-            print(done.stdout, flush=True)
-            if done.returncode not in (0, 5):  # 5: no test of it was asked for
+            print(*said, sep="", flush=True)
+            if process.returncode not in (0, 5):  # 5: no test of it was asked for
                 failed.append(group)
 
     workers = [threading.Thread(target=work, args=(group,)) for group in groups()]

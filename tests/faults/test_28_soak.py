@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,7 +31,7 @@ def test_it_is_watched() -> None:
 def test_saving_gives_memory_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trimmed: list[int] = []
     libc = SimpleNamespace(malloc_trim=trimmed.append)
-    monkeypatch.setattr(checkpoint.ctypes, "CDLL", lambda _: libc)
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: libc)
     checkpoint.save(tmp_path / "one", {"weights": torch.zeros(3)}, {})
     assert trimmed == [0]
 
