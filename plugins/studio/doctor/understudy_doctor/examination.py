@@ -48,6 +48,7 @@ class Examination:
     scale: float = 1.0  #: of the clip, for the character's legs, at which it was measured
     gone: LettingGo | None = None  #: what becomes of bodies that are let go in its states
     floor: Floor = "lowest"  #: how training is to put it on the floor
+    level: float | None = None  #: m above z = 0 of the floor it stands on, where that is known
 
     @property
     def worst(self) -> Severity | None:
@@ -91,7 +92,9 @@ def examine(
             gone = let_go(asked, character, floor) if aloft else landed(asked)
             found += check_flights(measured, gone)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
-    return Examination(clip, character, measured, tuple(found), tuple(skipped), scale, gone, floor)
+    return Examination(
+        clip, character, measured, tuple(found), tuple(skipped), scale, gone, floor, level
+    )
 
 
 def measure(
