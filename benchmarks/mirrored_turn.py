@@ -69,9 +69,13 @@ def main() -> None:
     parser.add_argument("--evaluation", type=Path, help="what it was judged by (evaluation.json)")
     given = parser.parse_args()
     right, left = open_skill(RIGHT), open_skill(LEFT)
-    card = {**left.card, "samples": right.samples, "versions": right.card["versions"]}
-    start = dict(right.card["sources"]["start"])
-    card["sources"] = {**left.card["sources"], "mirror": RIGHT, "start": start}
+    config = {**right.card["config"], "motion": left.card["config"]["motion"]}
+    words = [
+        f"experiment={LEFT}" if one == f"experiment={RIGHT}" else one
+        for one in right.card["overrides"]
+    ]
+    motion = {**right.card["sources"], "motion": left.card["sources"]["motion"], "mirror": RIGHT}
+    card = {**right.card, "config": config, "overrides": words, "sources": motion}
     made = replace(left, policy=mirror(right), samples=right.samples, card=card)
     judged = card["evaluation"]
     if given.evaluation is not None:

@@ -33,6 +33,7 @@ RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "shipped.jsonl"
 MATERIALS = RESULTS.with_name("materials.jsonl")
 SECONDS = 8.0
 EPISODES = 4  #: one tells little: of a start that stands, or of the machine's rounding
+FLOOR = 0.0  #: m: where physics has it; who sits with feet in the air tells nothing of it
 SHORTEST = 0.5  #: seconds of an episode that is checked
 WORST = ("sink", "air", "skates", "major", "minor")
 #: What a motion may have to ship: its clip's own and so much more, or so much in all where that is more.
@@ -59,7 +60,7 @@ def checked(qpos: np.ndarray, dt: float, character: Character) -> dict[str, floa
         finding
         for part in episodes(qpos)
         if len(part) * dt >= SHORTEST
-        for finding in examine(clip_of(part, dt, character), character).findings
+        for finding in examine(clip_of(part, dt, character), character, level=FLOOR).findings
     ]
     severities = [finding.severity for finding in found]
     return {
@@ -77,11 +78,13 @@ def episodes(qpos: np.ndarray) -> list[np.ndarray]:
     return np.split(qpos, np.flatnonzero((moved > 0.3) | (turned > 1.0)) + 1)
 
 
-def measured(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
+def measured(
+    qpos: np.ndarray, dt: float, character: Character, level: float | None = None
+) -> dict[str, float]:
     """Foot slide, penetration, air time and jerk of a motion (T, nq), episode by episode: where a figure is put back it
-    does not slide."""
+    does not slide. `level`: of the floor, where it is known, as of what physics played; a clip's is estimated."""
     parts = [
-        Measurements(clip_of(part, dt, character), character)
+        Measurements(clip_of(part, dt, character), character, level=level)
         for part in episodes(qpos)
         if len(part) > 3  # of fewer there is no jerk
     ]
@@ -165,7 +168,7 @@ def row(name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
             falls += player.falls
         finally:
             player.close()
-        plays.append(measured(tracks["qpos"], dt, character))
+        plays.append(measured(tracks["qpos"], dt, character, FLOOR))
         checks.append(checked(tracks["qpos"], dt, character))
         if "reference_qpos" in tracks:
             clips.append(measured(tracks["reference_qpos"], dt, character))

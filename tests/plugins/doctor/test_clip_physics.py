@@ -85,6 +85,22 @@ def test_a_held_arm_needs_its_weight_times_its_lever(humanoid: Character) -> Non
     np.testing.assert_allclose(measured.support.share[:, row], expected / 100.0, rtol=1e-3)
 
 
+def test_a_floor_that_is_known_is_not_estimated(humanoid: Character) -> None:
+    """Held 5 cm up, as one who sits with feet in the air: a clip's floor would be there, one that physics played not."""
+
+    def hold(t: np.ndarray, q: np.ndarray) -> None:
+        q[:, 2] += 0.05
+
+    clip = posed(humanoid, 1.0, hold)
+    assert Measurements(clip, humanoid).ground > 0.04
+    known = Measurements(clip, humanoid, level=0.0)
+    assert known.ground == 0.0
+    assert not known.touching.any()
+    kinds = {f.kind for f in examine(clip, humanoid, level=0.0).findings}
+    assert "ground_offset" in {f.kind for f in examine(clip, humanoid).findings}
+    assert "ground_offset" not in kinds
+
+
 def test_leaning_without_falling_is_unsupported(humanoid: Character) -> None:
     """Far over its toes, feet flat: the ground can only push up under the feet."""
     ankles = [int(humanoid.model.joint(f"{s}_ankle").qposadr[0]) for s in ("left", "right")]

@@ -113,7 +113,8 @@ def test_a_click_in_the_browser_sends_it(skill: str) -> None:
 
 def test_without_runs_the_skills_of_the_package_go_around_a_square(tmp_path: Path) -> None:
     video = tmp_path / "square.mp4"
-    world = Follower([f"sitting/{name}" for name in ("walk", "turn_left", "turn_right")])
+    names = ("walk", "turn_left_mirrored", "turn_right_learned")
+    world = Follower([f"sitting/{name}" for name in names])
     try:
         for place in ((2.0, 0.0), (2.0, 2.0)):
             world.target = place

@@ -127,3 +127,35 @@ def test_it_learns_gently_by_a_word() -> None:
     gentle.reset()
     gentle.step(gentle.action * 0.0)
     assert {"pose", "velocity", "nearing", "planted", "unhurried", "servos"} == set(gentle.rewarded)
+
+
+def test_feet_without_a_chair_are_those_with_one() -> None:
+    """The figure of a sit, told of twice: by the fields with a chair and by those without."""
+    words = ["experiment=sitting/sit", "num_worlds=2"]
+    feet = "+fields.feet={name: sitting/feet, provides: {feet_speed: speeds, feet_down: downs}}"
+    environment = build(
+        *words,
+        feet,
+        "reward.terms.planted={name: sitting/planted, reads: {feet_speed: speeds, feet_down: downs}}",
+    ).environment
+    environment.reset(seed=1)
+    follow_clip(environment, 5)
+    table = environment.table
+    assert table["feet_speed"].max() > 0
+    torch.testing.assert_close(table["speeds"], table["feet_speed"])
+    torch.testing.assert_close(table["downs"], table["feet_down"])
+    environment.close()
+
+
+def test_a_turn_may_be_rewarded_for_feet_that_stand() -> None:
+    feet, planted_too = (
+        "+fields.feet={name: sitting/feet}",
+        "reward.terms.planted={name: sitting/planted}",
+    )
+    environment = build(
+        "experiment=sitting/turn_right", "num_worlds=2", feet, planted_too
+    ).environment
+    environment.reset(seed=1)
+    follow_clip(environment, 2)
+    assert (environment.rewarded["planted"] > 0).all()
+    environment.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -32,8 +33,13 @@ def test_it_is_the_right_ones_mirror_image() -> None:
 
 @pytest.mark.parametrize("substeps", [4, 8])
 def test_it_turns_as_far_at_half_the_time_step(substeps: int) -> None:
-    """Its clip turns by 63° in two seconds; the one that it replaced by 65° and 25°."""
-    words = ["device=cpu", "num_worlds=1", f"control.substeps={substeps}"]
+    """Within 20° of its clip, which turns by 63° in two seconds; the one that was learned by itself turned by 65° and 25°."""
+    words = [
+        "device=cpu",
+        "num_worlds=1",
+        f"control.substeps={substeps}",
+        "initial_states.span=[0,0]",
+    ]
     skill = open_skill(LEFT, words)
     built = build_environment(skill.experiment, num_worlds=1)
     policy = build_policy(skill.experiment, built.context)
@@ -44,4 +50,4 @@ def test_it_turns_as_far_at_half_the_time_step(substeps: int) -> None:
             seen = built.environment.step(policy.distribution(seen).mode()).observations
     yaw = float(pitch_yaw_roll(built.environment.table["qpos"][:, 3:7])[0, 1])
     built.environment.close()
-    assert 0.87 < yaw < 1.4
+    assert abs(yaw - math.radians(63)) < math.radians(20)

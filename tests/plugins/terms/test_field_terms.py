@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import math
+
+import pytest
 import torch
 
-from understudy_terms.terms import beyond, reached, value, value_where
+from understudy_terms.terms import beyond, reached, steady, value, value_where
 
 VECTOR = torch.tensor([[1.0, 2.0], [3.0, 0.5]])
 NUMBER = torch.tensor([1.0, 3.0])
@@ -20,6 +23,13 @@ def test_a_value_where_another_field_is_zero_is_none() -> None:
     assert found[0].isnan()
     assert found[1] == 3.0
     assert value_where(VECTOR, where > 0, index=1).nan_to_num(-1.0).tolist() == [-1.0, 0.5]
+
+
+def test_steady_is_one_where_nothing_changes_and_falls_with_the_mean_square() -> None:
+    before = torch.tensor([[1.0, 2.0], [2.0, 0.5]])
+    found = steady(VECTOR, before, scale=3.0)
+    assert found.tolist() == pytest.approx([1.0, math.exp(-3.0 * 0.5)])
+    assert steady(NUMBER, NUMBER - 0.5, scale=4.0).tolist() == pytest.approx([math.exp(-1.0)] * 2)
 
 
 def test_thresholds() -> None:

@@ -11,6 +11,7 @@ PARTS = {
     },
     "reward": {
         "value": ("terms:value", "a field itself"),
+        "steady": ("terms:steady", "a field changes little in a decision"),
     },
     "termination": {
         "reached": ("terms:reached", "a field is small enough"),

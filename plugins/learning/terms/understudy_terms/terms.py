@@ -35,6 +35,18 @@ def value_where(
     return torch.where(where != 0, _chosen(value, index).float(), torch.nan)
 
 
+def steady(
+    value: Tensor,
+    before: Tensor,
+    *,
+    #: per square of the field's unit
+    scale: float,
+) -> Tensor:
+    """exp(-scale m), (N,), m the mean square over the field's numbers by which it differs from ``before``, such as its
+    own ``previous_``: near 1 where it changes little in a decision."""
+    return torch.exp(-scale * (value - before).square().view(len(value), -1).mean(dim=1))
+
+
 def reached(
     value: Tensor,
     *,

@@ -39,6 +39,7 @@ PARTS = {
         "sitting/goal": ("state:Goal", "the direction to a target"),
         "sitting/seat": ("state:Seat", "the chair, and the pelvis on its seat"),
         "sitting/manner": ("manner:Manner", "pelvis and feet by seat and floor"),
+        "sitting/feet": ("manner:Feet", "feet on the floor, without a chair"),
         "sitting/target_by_chair": ("targets:TargetByChair", "a chosen place, by the chair"),
     },
     "encoder": {

@@ -25,7 +25,7 @@ _BEGIN_TO_TURN, _TURNED = math.radians(75.0), math.radians(30.0)
 #: m, at which a target is reached; then it turns on the spot until it is that far away again.
 _REACHED, _LEFT_BEHIND = 0.4, 0.8
 #: What comes with the package.
-_SKILLS = ("sitting/walk", "sitting/turn_left", "sitting/turn_right")
+_SKILLS = ("sitting/walk", "sitting/turn_left_mirrored", "sitting/turn_right_learned")
 #: m, in the world: where a video sends it, one after the other.
 _ROUND = ((3.0, 0.0), (3.0, 3.0), (0.0, 3.0), (0.0, 0.0))
 

@@ -22,6 +22,44 @@ from understudy_tensors import rotations
 _GRAVITY = 9.81  #: m/s²
 
 
+class Feet(Fields):
+    """Feet on the floor, of tasks without a chair.
+
+    ``feet_speed`` (N, 2) m/s of left and right ankle along the floor, ``feet_down`` (N, 2) 1 where that foot touches it.
+    """
+
+    reads = ("xpos", "cvel", "subtree_com", *(f"sensor_{foot}" for foot in FEET))
+    provides: Mapping[str, Shape] = {"feet_speed": (2,), "feet_down": (2,)}
+
+    def __init__(self, options: None, context: Context) -> None:
+        who = "fields 'sitting/feet'"
+        scene = context.need_scene(CharacterScene, who)
+        self._root = scene.layout.root_body
+        soles = context.need_section("soles", Soles, who).options
+        links = [scene.model.body(name).id for name in soles.feet]
+        self._links = torch.tensor(links, device=context.device)
+
+    def compute(
+        self, xpos: Tensor, cvel: Tensor, subtree_com: Tensor, **touching: Tensor
+    ) -> dict[str, Tensor]:
+        weight = subtree_com[:, self._root]
+        speed = _velocities(xpos[:, self._links], cvel[:, self._links], weight)[..., :2].norm(
+            dim=-1
+        )
+        return {"feet_speed": speed, "feet_down": _down(touching)}
+
+
+def _velocities(places: Tensor, moves: Tensor, weight: Tensor) -> Tensor:
+    """(N, K, 3) m/s at `places` (N, K, 3), of `moves` (N, K, 6), angular and linear at the figure's `weight` (N, 3)."""
+    angular, linear = moves.split(3, dim=-1)
+    return linear + torch.linalg.cross(angular, places - weight[:, None])
+
+
+def _down(touching: Mapping[str, Tensor]) -> Tensor:
+    """(N, 2): 1 where left and right foot touch the floor."""
+    return (torch.cat([touching[f"sensor_{foot}"] for foot in FEET], dim=1) > 0).float()
+
+
 class Manner(Fields):
     """Pelvis and feet in the world, by floor and seat.
 
@@ -62,12 +100,10 @@ class Manner(Fields):
         **touching: Tensor,
     ) -> dict[str, Tensor]:
         places = xpos[:, self._links]  # (N, 3, 3)
-        angular, linear = cvel[:, self._links].split(3, dim=-1)  # at the figure's centre of mass
-        lever = places - subtree_com[:, self._root, None]
-        velocities = linear + torch.linalg.cross(angular, lever)
+        velocities = _velocities(places, cvel[:, self._links], subtree_com[:, self._root])
         ahead = rotations.to_matrix(chair_rotation)[:, :2, 0]
         depth = self._half_depth - ((places[:, 0] - seat_position)[:, :2] * ahead).sum(1)
-        down = (torch.cat([touching[f"sensor_{foot}"] for foot in FEET], dim=1) > 0).float()
+        down = _down(touching)
         speed = velocities[:, 1:, :2].norm(dim=-1)
         return {
             "pelvis_height": places[:, 0, 2],

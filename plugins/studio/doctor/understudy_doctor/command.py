@@ -75,7 +75,7 @@ class Check(Command):
             raise ConfigError(
                 f"--loop makes a new clip of {options.clip}: say where it is to be written, --fix OUT."
             )
-        clip, character = _moving(options, registry)
+        clip, character, level = _moving(options, registry)
         if character is not None:
             clip = character.posed(clip)
         elif angle_names(clip) is not None:
@@ -83,13 +83,13 @@ class Check(Command):
                 f"{clip.name}: a robot's angles; --character ROBOT.xml says how it moves by them.",
                 file=sys.stderr,
             )
-        before = examine(clip, character, options.floor)
+        before = examine(clip, character, options.floor, level)
         after, done = before, None
         if options.fix is not None:
             done = _repaired(before, options.loop)
             done = replace(done, clip=replace(done.clip, name=options.fix.stem))
             _write(done.clip, options, registry)
-            after = final(examine(done.clip, character, options.floor))
+            after = final(examine(done.clip, character, options.floor, level))
         if options.page is not None:
             content = page(after, done.done if done else ())
             write_atomically(options.page, content)
@@ -100,9 +100,11 @@ class Check(Command):
         return 1 if after.worst == Severity.MAJOR else 0
 
 
-def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Character | None]:
+def _moving(
+    options: argparse.Namespace, registry: Registry
+) -> tuple[Clip, Character | None, float | None]:
     """What the command's arguments name, and the character that moves so: the one asked for, a run's own, or
-    the default one if the clip has its joints."""
+    the default one if the clip has its joints. And the height of its floor, m, where physics has played it."""
     named = options.character and load_character(options.character, registry)
     source = run_folder(options.clip, registry=registry)
     if (Path(source) / "run.json").is_file():
@@ -110,9 +112,9 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
         learned, _ = recorded_clips(run_folder(options.clip, recorded=True, registry=registry))
         licence, attribution = in_a_line(open_made(options.clip, registry), registry)
         learned = replace(learned, licence=licence, attribution=attribution)
-        return learned, named or run_character(source)
+        return learned, named or run_character(source), None if named else 0.0
     clip = open_clip(options.clip, options, registry)
-    return clip, named or _fitting(clip, registry)
+    return clip, named or _fitting(clip, registry), None
 
 
 def _fitting(clip: Clip, registry: Registry) -> Character | None:
@@ -128,7 +130,7 @@ def _repaired(before: Examination, loop: bool) -> Repair:
     # Frames and spikes first: a loop is found by matching frames.
     mended = repair(before)
     cut = make_loop(mended.clip, before.character)
-    again = repair(examine(cut.clip, before.character, before.floor))
+    again = repair(examine(cut.clip, before.character, before.floor, before.level))
     return Repair(again.clip, (*mended.done, *cut.done, *again.done), again.left)
 
 

@@ -44,6 +44,7 @@ class Examination:
     scale: float = 1.0  #: of the clip, for the character's legs, at which it was measured
     gone: LettingGo | None = None  #: what becomes of bodies that are let go in its states
     floor: Floor = "lowest"  #: how training is to put it on the floor
+    level: float | None = None  #: m above z = 0 of the floor it stands on, where that is known
 
     @property
     def worst(self) -> Severity | None:
@@ -61,9 +62,14 @@ def final(examined: Examination) -> Examination:
     return replace(examined, findings=tuple(findings))
 
 
-def examine(clip: Clip, character: Character | None, floor: Floor = "lowest") -> Examination:
+def examine(
+    clip: Clip,
+    character: Character | None,
+    floor: Floor = "lowest",
+    level: float | None = None,
+) -> Examination:
     """Examine `clip`, on `character` if there is one; training is to put it on the floor by `floor`
-    (``motion.floor``)."""
+    (``motion.floor``). `level`: m above z = 0 of the floor it stands on, where that is known."""
     found = list(check_clip(clip))
     skipped, measured, scale, gone = [NORMALISED], None, 1.0, None
     if character is None:
@@ -75,26 +81,30 @@ def examine(clip: Clip, character: Character | None, floor: Floor = "lowest") ->
         else:
             if clip.loop and not closes(clip):
                 skipped.append(OPEN_LOOP)
-            measured, scale = measure(clip, character)
+            measured, scale = measure(clip, character, level)
             found += [*check_proportions(clip, scale), *check_on_character(clip, measured)]
             asked = clip if scale == 1.0 else measured.clip
             aloft = float(np.ptp(measured.heights.min(1))) > LOW
             gone = let_go(asked, character, floor) if aloft else landed(asked)
             found += check_flights(measured, gone)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
-    return Examination(clip, character, measured, tuple(found), tuple(skipped), scale, gone, floor)
+    return Examination(
+        clip, character, measured, tuple(found), tuple(skipped), scale, gone, floor, level
+    )
 
 
-def measure(clip: Clip, character: Character) -> tuple[Measurements, float]:
+def measure(
+    clip: Clip, character: Character, level: float | None = None
+) -> tuple[Measurements, float]:
     """What can be measured of `clip`, its damage interpolated over, on a character that has its joints;
-    scaled to the character's legs, and by how much."""
+    scaled to the character's legs, and by how much. `level`: as of :func:`examine`."""
     moving = undamaged(clip)
     if clip.loop and not closes(clip):
         moving = replace(moving, loop=False)
-    measured = Measurements(moving, character)
+    measured = Measurements(moving, character, level=level)
     scale = leg_scale(measured)
     if scale != 1.0:
-        measured = Measurements(scaled(moving, scale), character, math.sqrt(scale))
+        measured = Measurements(scaled(moving, scale), character, math.sqrt(scale), level)
     return measured, scale
 
 

@@ -66,10 +66,14 @@ class Measurements:
         moves as the clip says, as far as its joints can.
     slower
         how many times as long as the motion asked about the clip takes.
+    level
+        m above z = 0 of the floor, where that is known, as of what physics played; else it is estimated.
     """
 
-    def __init__(self, clip: Clip, character: Character, slower: float = 1.0) -> None:
-        self.character = character
+    def __init__(
+        self, clip: Clip, character: Character, slower: float = 1.0, level: float | None = None
+    ) -> None:
+        self.character, self._level = character, level
         self.clip = evenly_spaced(clip)
         self.times = self.clip.times.numpy() / slower  #: of the motion asked about
         self.dt = self.clip.duration / (self.clip.num_frames - 1)
@@ -134,6 +138,8 @@ class Measurements:
     @cached_property
     def ground(self) -> float:
         """m: the height above z = 0 of the floor that the clip stands on; 0 if it is nearly that."""
+        if self._level is not None:
+            return self._level
         lowest = self.heights.min(1)
         standing = lowest[self.supported]
         level = float(np.median(standing)) if len(standing) else float(lowest.min())

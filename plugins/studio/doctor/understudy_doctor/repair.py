@@ -141,7 +141,8 @@ def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
         else:
             mended, words = step.mend(examined)
         if words:
-            state = _State(examine(mended, character, examined.floor), (*state.done, *words))
+            again = examine(mended, character, examined.floor, examined.level)
+            state = _State(again, (*state.done, *words))
     return state
 
 
