@@ -61,7 +61,9 @@ class Takeoffs(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: Takeoff = field(default_factory=Takeoff)  #: the first take-off (table 4.3; of obstacle jumps table 4.4)
+        takeoff: Takeoff = field(
+            default_factory=Takeoff
+        )  #: the first take-off (table 4.3; of obstacle jumps table 4.4)
         others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
         pose: Literal["plant", "step"] = "plant"  #: the foot's planting, or the step before it
         distance: Distance = field(default_factory=Distance)  #: how far from the obstacle
