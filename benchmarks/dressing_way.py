@@ -2,7 +2,8 @@
 
 ``python benchmarks/dressing_way.py RUN`` takes what ``job=dressing/lead`` left in RUN: each arm begins where the shirt's second
 subtask ended, and follows its way by torques of limited size. It appends to ``docs/benchmarks/dressing_way.jsonl`` how many
-arms were led in, how many of these are dressed by torques, at which decision, and the largest area ratio.
+arms were led in, how many of these are dressed by torques, at which decision, and the largest area ratio. Of the second sleeve with
+``--experiment shirt_sleeve_second``.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ RECORD = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "dressing
 
 
 def followed(
-    run: Path, portion: str, words: list[str], most: float, ahead: int
+    run: Path, portion: str, words: list[str], most: float, ahead: int, experiment: str
 ) -> dict[str, list[float | None]]:
     """Of each arm of that bank, led by torques of at most so much of the largest to the pose that its way has so many decisions
     `ahead`: the decision at which it was dressed, None where never, at which an episode ended, its largest progress and
     area ratio, and the largest distance from its way, rad."""
-    words = ["experiment=dressing/shirt_sleeve", *WORDS, "episode.seconds=20", "initial_states=bank", f"initial_states.file={run / portion}", *words]  # fmt: skip
+    words = [f"experiment=dressing/{experiment}", *WORDS, "episode.seconds=20", "initial_states=bank", f"initial_states.file={run / portion}", *words]  # fmt: skip
     environment = build_environment(load_experiment(words)).environment
     environment.reset(seed=3)
     count = environment.num_worlds
@@ -75,13 +76,16 @@ def main() -> None:
     parser.add_argument(
         "--ahead", type=int, default=0, help="decisions, of the pose that is asked for"
     )
+    parser.add_argument("--experiment", default="shirt_sleeve")
     options = parser.parse_args()
     rows = [json.loads(line) for line in (options.run / "metrics.jsonl").open()]
     led = [row["arrived"] for row in rows if "arrived" in row]
     words = [f"scenes.cloth.edge={options.edge}", f"num_worlds={options.worlds}"]
-    found = followed(options.run, options.portion, words, options.most, options.ahead)
+    found = followed(
+        options.run, options.portion, words, options.most, options.ahead, options.experiment
+    )
     record = {
-        "when": datetime.date.today().isoformat(), "machine": "one busy CPU core", "edge": options.edge, "led": len(led),
+        "when": datetime.date.today().isoformat(), "machine": "one busy CPU core", "edge": options.edge, "experiment": options.experiment, "led": len(led),
         "led_in": int(sum(led)), "portion": options.portion, "most": options.most, "ahead": options.ahead, "worlds": options.worlds,
         "dressed_by_torques": sum(one is not None for one in found["dressed"]), **found,
     }  # fmt: skip

@@ -12,7 +12,7 @@ from understudy.command.cli import main
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_dressing.leading import PORTIONS
+from understudy_dressing.leading import PORTIONS, Led
 from understudy_dressing.shirt import DRESSED, ShirtScene
 from understudy_dressing.terms import AlongWay
 from understudy_skills import bank
@@ -68,6 +68,22 @@ def test_it_leaves_states_of_the_way_and_what_follows(run: Path) -> None:
         assert torch.allclose(way[0], ends["way"][which, at + 1], atol=1e-5), "the next decision's"
 
 
+def test_the_second_arm_is_led_while_the_first_is_dressed(tmp_path: Path) -> None:
+    """From its sleeve's mouth out to the other side, by the mirror image of the first one's way."""
+    pose, cloth = SHIRT.settled("in_sleeve", "right", other_dressed=True)
+    qpos = torch.cat([torch.from_numpy(pose).float(), torch.zeros(3)])[None]
+    position = torch.from_numpy(cloth).float()[None]
+    states = {"qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": position, "cloth_velocity": torch.zeros_like(position)}  # fmt: skip
+    bank.save(tmp_path / "bank", states, {}, SHIRT)
+    words = ["experiment=dressing/shirt_sleeve_second", "job.side=right", "job.count=1"]
+    given = [word for word in LEAD if not word.startswith("experiment=")]
+    assert main([*given, *words, f"job.bank={tmp_path}/bank", f"run.dir={tmp_path}/run"]) == 0
+    way = bank.load(tmp_path / "run/ends")["way"][0]
+    out = Led(SHIRT, "right", pose, cloth).bent({"right": DRESSED})
+    assert np.allclose(way[-1, 14:], out[14:], atol=1e-5)
+    assert np.allclose(way[:, 6:14], way[:1, 6:14], atol=1e-5), "the arm that holds is still"
+
+
 def test_episodes_begin_in_them_and_are_paid_for_what_follows(run: Path) -> None:
     words = [
         "experiment=dressing/shirt_sleeve_led",
@@ -99,8 +115,10 @@ def test_the_reward_by_hand() -> None:
     )
 
 
-def test_the_whole_search_composes(tmp_path: Path) -> None:
-    load_experiment(["search=dressing/shirt_sleeve_led", f"run.dir={tmp_path}/led"])
+@pytest.mark.parametrize("search", ["shirt_sleeve_led", "shirt_sleeve_second_led"])
+def test_the_whole_search_composes(search: str, tmp_path: Path) -> None:
+    load_experiment([f"search=dressing/{search}", f"run.dir={tmp_path}/led"])
+    load_experiment([f"experiment=dressing/{search}", f"initial_states.file={tmp_path}/bank"])
 
 
 @pytest.mark.parametrize(

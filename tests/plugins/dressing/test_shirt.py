@@ -196,6 +196,28 @@ def test_later_subtasks_have_starts_of_their_own(
     environment.close()
 
 
+def test_the_second_arm_begins_raised() -> None:
+    """Under the hem, its hand before the chin, as led arms begin; through no cloth, the first arm in its sleeve."""
+    words = ["experiment=dressing/shirt_sleeve_second", "initial_states.worn=raised", *SMALL]
+    environment = build_environment(load_experiment(words)).environment
+    environment.reset(seed=1)
+    table = environment.table
+    at = table["xpos"], table["xquat"], table["cloth_position"]
+    assert (_in_sleeve("left", *at) > 0.6).all()
+    assert (_in_sleeve("right", *at) == 0).all()
+    hand = in_world(places_on(MODEL, limb("right"), torch.device("cpu")), *at[:2])[:, 0]
+    assert (hand[:, 0] > 0.2).all()
+    assert (hand[:, 2] > 0.0).all(), "above the base of the neck"
+    assert not table["pierced"].any()
+    assert not table["collar_lost"].any()
+    environment.close()
+
+
+def test_no_bare_arm_begins_raised() -> None:
+    with pytest.raises(ConfigError, match="worn=raised needs other_dressed=true"):
+        load_experiment(["experiment=dressing/shirt_sleeve", "initial_states.worn=raised"])
+
+
 def test_starts_are_drawn_among_hands_in_the_sleeve() -> None:
     environment = build_environment(
         load_experiment(

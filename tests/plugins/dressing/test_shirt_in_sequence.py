@@ -37,6 +37,27 @@ def test_the_first_two_in_one_episode() -> None:
     environment.close()
 
 
+def test_the_third_is_kept_too() -> None:
+    """From the sleeve's mouth, which takes two seconds, and through no cloth."""
+    sleeve = (
+        f"{{run: {KEPT}/shirt_sleeve.json, until: {{field: dressed, at_least: 1.0}}, seconds: 4.0}}"
+    )
+    words = ["experiment=dressing/shirt", f"actuation.stages=[{sleeve}]", *SMALL, "num_worlds=2", "initial_states.worn=in_sleeve"]  # fmt: skip
+    environment = build_environment(load_experiment(words), evaluating=True).environment
+    environment.reset(seed=1)
+    done, through = torch.zeros(2, dtype=torch.bool), torch.zeros(2, dtype=torch.bool)
+    for _ in range(60):
+        step = environment.advance(torch.zeros(2, environment.action_size))
+        through |= ~done & (environment.table["pierced"] > 0)
+        done |= step.terminated & ~step.failed
+        environment.begin(step.ended)
+        if done.all():
+            break
+    assert done.all()
+    assert not through.any()
+    environment.close()
+
+
 @pytest.mark.slow
 def test_all_seven_in_one_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every stage of the experiment finds its fields, those of the second arm among the other's, and has its own hands

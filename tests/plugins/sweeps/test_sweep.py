@@ -557,6 +557,30 @@ def test_beginning_from_a_trial_that_is_not_there(
         script(tmp_path)
 
 
+def test_a_sweep_whose_folder_was_moved_goes_on(tmp_path: Path) -> None:
+    """A chain's second stage was stopped before it began; its first one's run is elsewhere by then."""
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    stages = "outer_loop.stages={first: [], second: [\"start.run='{first}'\"]}"
+
+    def chain(folder: Path, *overrides: str) -> None:
+        module.sweep([*base, "outer_loop=chain", stages, *overrides, f"run.dir={folder}"])
+
+    chain(tmp_path / "whole")
+    chain(tmp_path / "here")
+    journal = tmp_path / "here/journal.jsonl"
+    kept = journal.read_text().splitlines(keepends=True)[:-4]
+    assert json.loads(kept[-1])["trial"]["key"] == "second"
+    journal.write_text("".join(kept))  # asked for, with the path of the folder where it was
+    shutil.rmtree(tmp_path / "here/second")
+    shutil.move(tmp_path / "here", tmp_path / "there")
+    for _ in range(2):
+        chain(tmp_path / "there")
+        assert events(tmp_path / "there") == events(tmp_path / "whole")
+        assert str(tmp_path / "here") not in (tmp_path / "there/journal.jsonl").read_text()
+    assert iterations(tmp_path / "there", "second") == iterations(tmp_path / "whole", "second")
+    assert not (tmp_path / "here").exists()
+
+
 def test_a_policy_that_is_gone_is_learned_again(
     tmp_path: Path, scripted: Any, monkeypatch: Any
 ) -> None:

@@ -146,7 +146,7 @@ class WornShirt(_Settled):
 
     @dataclass(frozen=True)
     class Options:
-        worn: Worn = "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too, `in_sleeve`: its hand in the sleeve, `dressed`: the arm
+        worn: Worn = "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too, `raised`: with its hand before the chin (the second arm), `in_sleeve`: its hand in the sleeve, `dressed`: the arm
         side: Side = "left"  #: the arm that goes in (the paper's first)
         other_dressed: bool = False  #: whether the other arm is in its own sleeve
         push: float = 0.5  #: m/s, of all of the cloth (2018 code: 0.5, of an unknown unit)
@@ -157,6 +157,10 @@ class WornShirt(_Settled):
 
         def __post_init__(self) -> None:
             check_range(self, "push", "noise", "rates", least=0, most=10)
+            if self.worn == "raised" and not self.other_dressed:
+                raise ValueError(
+                    "worn=raised needs other_dressed=true: with both arms bare the hand would go through the front."
+                )
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'dressing/worn_shirt'"

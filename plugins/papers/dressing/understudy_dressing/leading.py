@@ -1,4 +1,4 @@
-"""A job that leads arms from where the shirt's second subtask ended into the sleeve, and keeps states of the way.
+"""A job that leads arms from where one of the shirt's tucks ended into the sleeve, and keeps states of the way.
 
 At the tuck's end the front is gathered above the elbow, the hand is before the chin and the sleeve behind the shoulder, so an
 arm that makes straight for its sleeve goes through the front. Led the other way round, it goes in: the holding hand lowers the
@@ -26,7 +26,7 @@ from understudy.setup.config import Experiment
 from understudy.task import Context, State
 from understudy_cloth.mesh import face_areas
 from understudy_dressing.person import Side, limb
-from understudy_dressing.shirt import DRESSED, PERIOD, Moves, ShirtScene
+from understudy_dressing.shirt import DRESSED, HOLDERS, PERIOD, Moves, ShirtScene
 from understudy_dressing.state import centre_and_normal, pierces, progress
 from understudy_skills import bank
 from understudy_skills.gathered import Gathered, Gathering
@@ -35,10 +35,7 @@ from understudy_skills.gathered import Gathered, Gathering
 PORTIONS = ("ends", "low", "half", "near", "out")
 #: What a state is, of the person and the cloth.
 STATE = ("qpos", "qvel", "cloth_position", "cloth_velocity")
-#: The arm that goes in (the paper's first), and the hands: only the right one holds.
-SIDE: Side = "left"
-_CLOSED = (True, False)
-#: m, where the elbow goes; what it weighs beside the fingertip; m beyond the entrance, where that goes.
+#: m, where the left elbow goes; what it weighs beside the fingertip; m beyond the entrance, where that goes.
 _ELBOW, _WEIGHT, _BEYOND = (0.28, 0.09, -0.08), 0.7, 0.12
 #: m: so far links stay apart.
 _APART = 0.003
@@ -59,14 +56,17 @@ class Place:
 
 
 class Led(Moves):
-    """A shirt on a person whose left arm is led into its sleeve."""
+    """A shirt on a person whose arm of `side` is led into its sleeve, while the other hand holds the hem."""
 
-    def __init__(self, shirt: ShirtScene, pose: np.ndarray, cloth: np.ndarray) -> None:
+    def __init__(self, shirt: ShirtScene, side: Side, pose: np.ndarray, cloth: np.ndarray) -> None:
         super().__init__(shirt, pose, cloth)
         self._shirt = shirt
-        self._entrance = torch.tensor(shirt.sleeve(SIDE)["entrance"].copy())
-        self._left = self._arm(SIDE)
-        self._free = [*range(3), *self._left]
+        self._side: Side = side
+        self._closed = tuple(holder != side for holder in HOLDERS)
+        self._entrance = torch.tensor(shirt.sleeve(side)["entrance"].copy())
+        self._elbow = np.array(_ELBOW) * (1.0, 1.0 if side == "left" else -1.0, 1.0)
+        self._mine = self._arm(side)
+        self._free = [*range(3), *self._mine]
         limited = self._body.jnt_limited[self._free].astype(bool)
         ranges = self._body.jnt_range[self._free]
         self._low, self._high = (np.where(limited, ranges[:, k], s * 2.2) for k, s in enumerate((-1, 1)))  # fmt: skip
@@ -75,7 +75,7 @@ class Led(Moves):
         """(6, 3) m, as :func:`limb`."""
         return np.array([
             self._data.body(name).xpos + self._data.body(name).xmat.reshape(3, 3) @ np.array(at)
-            for name, at in limb(SIDE)
+            for name, at in limb(self._side)
         ])  # fmt: skip
 
     def place(self, phase: int) -> Place:
@@ -88,15 +88,13 @@ class Led(Moves):
         return Place(phase, pose.copy(), x, float(inside), float(ratio), bool(through))
 
     def lower(self, share: float, begin: np.ndarray, end: np.ndarray) -> None:
-        """Trunk and right arm go by a `share` of the way from those of the pose `begin` to those of `end`, (22,) rad."""
-        others = [i for i in range(len(begin)) if i not in self._left]
+        """Trunk and the arm that holds go by a `share` of the way from those of the pose `begin` to those of `end`, (22,) rad."""
+        others = [i for i in range(len(begin)) if i not in self._mine]
         self._mix(others, share, begin, end)
 
     def spread(self, share: float, begin: np.ndarray) -> None:
-        """The left arm goes by a `share` of the way from that of the pose `begin` (22,) rad out to its side."""
-        end = begin.copy()
-        end[self._left] = DRESSED
-        self._mix(self._left, share, begin, end)
+        """The arm that goes in goes by a `share` of the way from that of the pose `begin` (22,) rad out to its side."""
+        self._mix(self._mine, share, begin, self.bent({self._side: DRESSED}))
 
     def approach(self, speed: float) -> None:
         """Fingertip and elbow go on by a step of `speed`, m."""
@@ -107,7 +105,7 @@ class Led(Moves):
         centre, normal = (one[0].numpy() for one in centre_and_normal(cloth))
         inside = float(progress(torch.tensor(bones)[None], cloth)[1]) > 0
         tip = _towards(bones[0], bones[0] + normal if inside else centre + _BEYOND * normal, speed)
-        elbow = _towards(bones[3], np.array(_ELBOW), speed)
+        elbow = _towards(bones[3], self._elbow, speed)
         pose, begin = pose.copy(), pose[self._free].copy()
 
         def off(hinges: np.ndarray) -> np.ndarray:
@@ -131,7 +129,7 @@ class Led(Moves):
 
     def _go(self, pose: np.ndarray) -> None:
         self._pose = pose
-        self._step(pose, _CLOSED)
+        self._step(pose, self._closed)
 
 
 def _towards(begin: np.ndarray, end: np.ndarray, speed: float) -> np.ndarray:
@@ -140,7 +138,8 @@ def _towards(begin: np.ndarray, end: np.ndarray, speed: float) -> np.ndarray:
 
 
 class Lead(Gathering):
-    """Leads arms in a task of ``dressing/shirt_sleeve`` from states of a bank, as ``job=harvest`` leaves of ``dressing/shirt_tuck``.
+    """Leads arms in a task of ``dressing/shirt_sleeve`` from states of a bank, as ``job=harvest`` leaves of ``dressing/shirt_tuck``;
+    or of the second sleeve, where the other arm is in its own.
 
     It leaves banks in the folders ``ends`` (where the arms began), ``low`` (the hem on its way down), ``half`` and ``near`` (the
     hand on its way, and nearer or in) and ``out`` (the arm on its way out), at rest but for the first, of those arms that
@@ -158,6 +157,7 @@ class Lead(Gathering):
         out: float = 1.6  #: s, in which the arm goes out to its side
         keep: int = 3  #: of every so many decisions of a way one state
         torn: float = 2.6  #: area ratio of states that are not kept
+        side: Side = "left"  #: the arm that goes in: the paper's first, or `right`, the second
 
         def __post_init__(self) -> None:
             check_range(self, "count", least=1, most=100_000)
@@ -192,7 +192,8 @@ class Lead(Gathering):
         rows = np.linspace(0, len(states["qpos"]) - 1, self.options.count).round().astype(int)
         self._states = {name: states[name][np.unique(rows)] for name in STATE}
         self._gathered = Gathered(len(self._states["qpos"]))
-        self._lowered = self._shirt.settled("in_sleeve", SIDE)[0]
+        side = self.options.side
+        self._lowered = self._shirt.settled("in_sleeve", side, other_dressed=side == "right")[0]
 
     def iterate(self, samples: int) -> dict[str, Any]:
         row = self._gathered.count
@@ -213,7 +214,11 @@ class Lead(Gathering):
     def _lead(self, pose: np.ndarray, cloth: np.ndarray) -> tuple[list[Place], list[np.ndarray]]:
         """Where the arm was at each decision, until it goes through cloth, is not in in time, or is out at its side; and the
         pose (22,) rad of each step."""
-        options, arm, way = self.options, Led(self._shirt, pose, cloth), list[np.ndarray]()
+        options, arm, way = (
+            self.options,
+            Led(self._shirt, self.options.side, pose, cloth),
+            list[np.ndarray](),
+        )
         places = [arm.place(0)]
 
         def steps(seconds: float) -> range:

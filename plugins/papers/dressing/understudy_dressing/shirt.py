@@ -33,15 +33,16 @@ from understudy_dressing.person import (
 )
 from understudy_tensors import rotations
 
-#: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it; or its hand
-#: in the sleeve's mouth; or the arm out in its sleeve.
-Worn = Literal["on_shoulders", "held", "tucked", "in_sleeve", "dressed"]
+#: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it; and raised until
+#: the hand is before the chin; or its hand in the sleeve's mouth; or the arm out in its sleeve.
+Worn = Literal["on_shoulders", "held", "tucked", "raised", "in_sleeve", "dressed"]
 #: m: so high is the neck's highest point of the pattern above the base of the neck, and so far the cloth from skin.
 _NECK, _CLEAR = 0.115, 0.012
 #: m, of the right hand's mirror: where a hand holds the hem, and where the other goes under it: in front of the body, so
 #: that no elbow is driven into the shirt's back.
 _HELD_AT = (0.38, -0.02, -0.35)
 _TUCKED_AT = ((0.20, 0.05, -0.66), (0.26, 0.03, -0.50), (0.29, 0.03, -0.40))
+_RAISED_AT = ((0.31, 0.0, -0.27), (0.31, -0.01, -0.20), (0.30, 0.0, -0.02), (0.28, 0.0, 0.12))
 #: rad, from clavicle to wrist of the left arm: the elbow bent before the chest, the hand at its own shoulder, by a fifth of the
 #: limb in a sleeve that is drawn over it. Straighter arms tear it as it settles, and so may finer cloth.
 IN_SLEEVE = (
@@ -163,8 +164,8 @@ def _settled(
     if worn != "on_shoulders":
         moves.reach(holder, moves.patch(holder), _GOES, (False, False))
         moves.reach(holder, mirrored * _HELD_AT, _GOES, closed)
-    if worn == "tucked":
-        for place in _TUCKED_AT:  # up between body and hem, not around the hem
+    if worn in ("tucked", "raised"):  # up between body and hem, not around the hem
+        for place in _TUCKED_AT + (_RAISED_AT if worn == "raised" else ()):
             moves.reach(side, mirrored * place, _GOES, closed)
     if worn != "on_shoulders":
         moves.hold(_HANGS, closed)

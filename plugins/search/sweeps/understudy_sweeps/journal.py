@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,6 +81,37 @@ class Journal:
     def finished(self) -> dict[str, Report]:
         """The final reports, by trial."""
         return {e.key: e for e in self.events if isinstance(e, Report) and e.final}
+
+    def move(self, folder: str) -> None:
+        """Take `folder` as that of the sweep, to which its runs may have been copied from elsewhere: of all paths that it
+        knows, those that were in the folder before are in this one, in the file as well."""
+        before = {str(Path(report.run).parent) for report in self._reports} - {folder, "."}
+        if not before:
+            return
+        inside = re.compile(rf"(?<![\w./~-])({'|'.join(map(re.escape, sorted(before)))})(?=/)")
+
+        def here(found: Any) -> Any:
+            if isinstance(found, str):
+                return inside.sub(lambda _: folder, found)
+            if isinstance(found, Mapping):
+                return {key: here(value) for key, value in found.items()}
+            return tuple(map(here, found)) if isinstance(found, tuple) else found
+
+        named = ("run",), ("overrides", "start", "initial_states")
+        self.events = [
+            dataclasses.replace(
+                event,
+                **{name: here(getattr(event, name)) for name in named[isinstance(event, Trial)]},
+            )
+            for event in self.events
+        ]
+        write_atomically(self.path, "".join(map(_row, self.events)).encode())
+
+    @property
+    def _reports(self) -> list[Report]:
+        """Those of runs that are in the sweep's folder, by their trial's name."""
+        found = [event for event in self.events if isinstance(event, Report)]
+        return [e for e in found if e.run and Path(e.run).name == quote(e.key, safe="")]
 
     def ask(self, trial: Trial) -> None:
         if any(trial.key == other.key for other in self.asked):

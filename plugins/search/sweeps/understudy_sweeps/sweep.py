@@ -66,6 +66,7 @@ def sweep(overrides: Sequence[str]) -> int:
         book.lock()
         _refuse_another(folder / "sweep.json", sorted(given), compared)
         journal = Journal.open(folder / "journal.jsonl")
+        journal.move(work.folder)
         known = set(journal.finished)
         page = Page(folder, _title(overrides, folder), chosen.effective().get("paper"))
         with Progress({trial.key for trial in loop.plan}) as progress:
