@@ -51,6 +51,8 @@ _LARGEST = 1 << 20
 _ONLY = "grip"
 _TOOLS = {"sticks": "two sticks", "tongs": "tongs", "brush": "a brush", "none": "no tool"}
 _THE = {"sticks": "the sticks", "tongs": "the tongs", "brush": "the brush"}
+#: How the sentence begins that refuses a job of candidates none of which can begin.
+NONE_HOLDS = "No candidate holds the sticks."
 #: In the folder of a run, beside the grips that were found for it: what is against the others.
 _AGAINST = "against.txt"
 
@@ -365,6 +367,8 @@ class Grips:
     against: Mapping[str, str] = field(default_factory=dict)
     #: Finds them once the hand is known, where they are asked for by style.
     find: Callable[[HandScene], Grips] | None = None
+    #: Whether a job has begun with these, so that none can be left out any more: its policy sees whose world it is.
+    begun: bool = False
 
     @property
     def are_candidates(self) -> bool:
@@ -384,6 +388,26 @@ class Grips:
                 found = self.find(scene)
             self.by_name, self.against, self.find = found.by_name, found.against, None
         return self
+
+    def leave_out(self, against: Mapping[str, str]) -> None:
+        """Go on without those candidates, each with what is `against` it; the others are not touched.
+
+        Raises
+        ------
+        ConfigError
+            none is left, or they cannot be left out: a grip that has the job for itself, or a job that has begun.
+        """
+        if not against:
+            return
+        if self.begun or not self.are_candidates:
+            raise ConfigError(next(iter(against.values())))
+        self.against = {**self.against, **against}
+        self.by_name = {n: grip for n, grip in self.by_name.items() if n not in against}
+        self._need_one()
+
+    def _need_one(self) -> None:
+        if not self.by_name:
+            raise ConfigError(f"{NONE_HOLDS} {next(iter(self.against.values()))}")
 
 
 @dataclass(frozen=True)
@@ -471,17 +495,16 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
             f"grip.candidates are styles of hands of {' and '.join(map(str, sorted(fingers)))} fingers. Give those "
             "of one hand."
         )
-    made: list[Grips] = []
 
     def keep(folder: Path) -> None:
-        if not made:
+        if grips.find is not None:
             raise ConfigError(
                 "Nothing here holds a tool, so grip.style finds no grip. Leave it out."
             )
         folder.mkdir(parents=True, exist_ok=True)
-        for name, grip in made[0].by_name.items():
+        for name, grip in grips.by_name.items():
             grip.save(folder / f"{name}.json")
-        write_atomically(folder / _AGAINST, json.dumps(made[0].against).encode())
+        write_atomically(folder / _AGAINST, json.dumps(grips.against).encode())
 
     asked = f"grips {[(n, written(c.style), c.places) for n, c in candidates.items()]}"
     folder = inputs.folder_of(asked, Path(), keep)
@@ -497,14 +520,11 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
             ((name, candidate),) = candidates.items()
             human = HandScene(HandScene.Options(scene.measures.fingers))
             found = Grips({name: find_grip(human, candidate.style, candidate.places)})
-        if not found.by_name:
-            raise ConfigError(
-                f"No candidate holds the sticks. {next(iter(found.against.values()))}"
-            )
-        made.append(found)
+        found._need_one()
         return found
 
-    return Grips(find=find)
+    grips = Grips(find=find)
+    return grips
 
 
 def _refuse_another_hand(style: Style, scene: HandScene) -> None:
@@ -577,6 +597,7 @@ def _kept(folder: Path, names: Sequence[str]) -> Grips:
     return Grips(
         {name: load_grip(folder / f"{name}.json") for name in names if name not in against},
         {name: against[name] for name in names if name in against},
+        begun=True,
     )
 
 
