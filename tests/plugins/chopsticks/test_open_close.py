@@ -359,7 +359,7 @@ def test_a_candidate_that_falls_where_the_arm_begins_is_left_out_alone(
                 "scene.contact.solref=[0.02, 1]",
                 "scene.contact.solimp=[0.9, 0.95, 0.001]",
             ],
-            "The grip does not hold the sticks",
+            "The grip 11120 does not hold the sticks",
         ),
         (["scene.contact.noslip_iterations=5"], "noslip_iterations=5 is not possible"),
     ],

@@ -34,7 +34,7 @@ from understudy_hand.table import ARM_POSE, FEWEST, FINGERS, Measures
 from understudy_hand.tools import GRIPPERS, HALF_LENGTH, Tool, upper_pose
 from understudy_tensors import rotations
 
-__all__ = ["Grip", "Grips"]
+__all__ = ["NONE_HOLDS", "Grip", "Grips", "load_grip"]
 
 #: N, wanted of each contact, and the share of it that each bears at least; 2 N and a quarter lose the sticks of a human hand under 40 mrad
 #: of noise, these do not at 60.
@@ -302,8 +302,12 @@ def _refuse_unreachable(what: str, poses: Poses) -> None:
 
 
 def load_grip(path: Path) -> Grip:
-    """Raises:
-    FileError: the file is missing, or no grip.
+    """The grip in the JSON file `path`, as :meth:`Grip.save` writes it.
+
+    Raises
+    ------
+    FileError
+        the file is missing, or no grip.
     """
     try:
         values = json.loads(read(path, _LARGEST))
