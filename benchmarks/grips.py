@@ -3,7 +3,9 @@
 ``python benchmarks/grips.py`` holds each for ten seconds at each of its angles under fixed targets, measures how far the tool slips in
 the palm and how deep anything is in it, and writes ``docs/benchmarks/grips.jsonl``, from which ``make figures`` writes a table on
 the page of chopsticks. ``--device cuda`` holds the standard one in MuJoCo Warp instead, parallel, in many worlds, and appends a row to
-``docs/benchmarks/grips_warp.jsonl``.
+``docs/benchmarks/grips_warp.jsonl``. ``--searched FOLDER`` holds the grips that a search over styles found (``STYLE.json``, of
+``benchmarks/styles.py --grips``) in its place, into ``docs/benchmarks/grips_searched.jsonl``, with what its three motions score under fixed
+targets and how far the fingers are in each other, which the hand's model allows.
 """
 
 from __future__ import annotations
@@ -12,9 +14,11 @@ import argparse
 import datetime
 import json
 from dataclasses import asdict
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from held import measured
@@ -22,11 +26,14 @@ from held import measured
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
-from understudy_gripping.grip import load_grip
+from understudy_gripping.grip import Grip, load_grip
+from understudy_gripping.hold import hold, placed
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
+from understudy_hand.table import ARM_POSE, FINGERS
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "grips.jsonl"
+SEARCHED = RESULTS.with_name("grips_searched.jsonl")
 WARP = RESULTS.with_name("grips_warp.jsonl")
 SECONDS, SETTLE = 10.0, 1.0
 
@@ -54,6 +61,39 @@ def row(name: str, path: Path) -> dict[str, Any]:
         "depth": 1e3 * max(held.depth for held in every),
         "links": sorted(frozenset.union(*(held.links for held in every))),
     }
+
+
+@torch.no_grad()
+def still(path: Path) -> float:
+    """The score of the grip under fixed targets in the three motions of the search, in MuJoCo."""
+    experiment = load_experiment([
+        "search=chopsticks/grips", "outer_loop=null", "executor=null", f"grip.file={path}", "device=cpu", "simulator=mujoco", "num_worlds=48",
+    ])  # fmt: skip
+    environment = build_environment(experiment, num_worlds=48).environment
+    try:
+        environment.reset(0, "grips")
+        rest = torch.zeros(48, environment.action_size)
+        rewards = [environment.advance(rest).rewards.mean() for _ in range(100)]
+    finally:
+        environment.close()
+    return float(torch.stack(rewards).mean())
+
+
+def overlap(grip: Grip) -> tuple[float, list[str]]:
+    """mm, and which two links: how far two fingers are in each other at the most, held parallel and closed; below 0 they are apart."""
+    scene = HandScene(HandScene.Options(**asdict(grip.measures), tool=grip.tool))
+    model, deepest = scene.model, (-50.0, list[str]())
+    of_fingers = [n for n in scene.links if n.partition("_")[0] in FINGERS]
+    links = {n: model.geom(n).id for n in of_fingers if "metacarpal" not in n}
+    for row in (0, len(grip.angles) - 1):
+        data = placed(scene, np.array(ARM_POSE), grip.poses[row], grip.upper[row], grip.lower)
+        hold(scene, data, np.array([*ARM_POSE, *grip.targets[row]]))
+        mujoco.mj_forward(model, data)
+        for one, other in combinations(links, 2):
+            if one.partition("_")[0] != other.partition("_")[0]:
+                apart = mujoco.mj_geomDistance(model, data, links[one], links[other], 0.05, None)
+                deepest = max(deepest, (-1e3 * apart, [one, other]))
+    return deepest
 
 
 @torch.no_grad()
@@ -95,12 +135,23 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="+", metavar="GRIP", help="measure these anew and leave the others"
     )
+    parser.add_argument("--searched", type=Path, metavar="FOLDER", help="of grips that were found")
     given = parser.parse_args()
     if given.device is not None:
         line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
         with WARP.open("a", encoding="utf-8") as file:
             file.write(line)
         print(line, end="")
+        return
+    if given.searched is not None:
+        found = []
+        for path in sorted(given.searched.glob("*.json")):
+            deep, links = overlap(load_grip(path))
+            more = {"still": still(path), "overlap": deep, "overlapping": links}
+            found.append({**row(path.stem, path), **more})
+            print(json.dumps(found[-1]), flush=True)
+        lines = [json.dumps(one) + "\n" for one in found]
+        SEARCHED.write_text("".join(lines), encoding="utf-8")
         return
     registry = load().registry
     rows = {r["grip"]: r for r in map(json.loads, RESULTS.read_text().splitlines())}

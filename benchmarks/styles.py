@@ -2,7 +2,8 @@
 
 ``python benchmarks/styles.py FOLDER …`` reads folders of ``search=chopsticks/grips``, one a seed, however far they are, and puts a
 row for each style and seed into ``docs/benchmarks/chopsticks_styles.jsonl`` in place of what was there of that seed. ``--grips FOLDER``
-keeps the best grip of each style there, as ``STYLE.json``, for ``grip.file=…``.
+keeps the best grip of each style there, as ``STYLE.json``, for ``grip.file=…``; ``--gallery`` writes the page that a finished search
+writes, ``gallery.html`` in each folder, of what there is.
 """
 
 from __future__ import annotations
@@ -10,22 +11,19 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy.setup.validation import validate
-from understudy_gripping.styles import NAMED, written
+from understudy_chopsticks.found import SHARE, best_of_styles, grip_file
+from understudy_chopsticks.gallery import Gallery
 from understudy_sweeps.journal import Journal
-from understudy_sweeps.loops import Report
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "chopsticks_styles.jsonl"
-#: What a style has learned soon is so much of what its best candidate scores in the end.
-SHARE = 0.9
-_NAMES = {written(style): name for name, style in NAMED.items()}
 
 
 def rows(folder: Path) -> Iterator[dict[str, Any]]:
@@ -34,58 +32,23 @@ def rows(folder: Path) -> Iterator[dict[str, Any]]:
     compared = json.loads((folder / "sweep.json").read_text())["compared"]
     chosen = validate({"outer_loop": compared["outer_loop"]}, installed().registry)
     loop = chosen.need("outer_loop").build(compared["seed"])
-    for event in journal.events:
-        loop.tell(event) if isinstance(event, Report) else loop.recall(event)
-    found: dict[str, list[Mapping[str, Any]]] = {}
-    for row in loop.summary():
-        found.setdefault(row["search"], []).append(row)
-    of_styles = [_of(style, trials, journal) for style, trials in found.items()]
-    of_styles.sort(key=lambda row: -(row["score"] or 0.0))
-    for rank, row in enumerate(of_styles, 1):
-        yield {"seed": compared["seed"], "of": len(of_styles), "rank": rank, **row}
+    for row in best_of_styles(loop, journal):
+        yield {"seed": compared["seed"], **row, **_failures(row["style"], folder)}
 
 
-def _of(style: str, trials: Sequence[Mapping[str, Any]], journal: Journal) -> dict[str, Any]:
-    done = [row for row in trials if row["status"] != "running"]
-    held = [row for row in done if row["y"] is not None]
-    best = max(held, key=lambda row: row["y"], default=None)
-    curve = [] if best is None else _curve(style, best, journal)
-    return {
-        "style": style,
-        "name": _NAMES.get(style, ""),
-        "evaluations": len(done),
-        "held": len(held),
-        "score": best and best["y"],
-        "trial": best and best["trial"],
-        "places": best and {k.rpartition(".")[2]: v for k, v in best.items() if k.startswith("grip.")},
-        "samples": sum(row["samples"] for row in done),
-        "learned": next((x for x, y in curve if best and y >= SHARE * best["y"]), None),
-        "curve": curve,
-    }  # fmt: skip
-
-
-def _curve(style: str, best: Mapping[str, Any], journal: Journal) -> list[list[float]]:
-    """Samples of this candidate alone and its score, by the evaluations of its training."""
-    points = []
-    for event in journal.events:
-        if not isinstance(event, Report) or event.key != best.get("job", best["trial"]):
-            continue
-        scores = [v for k, v in event.measures.items() if k.startswith("score_s")]
-        share = max(1, sum(map(math.isfinite, scores)))  # those that hold have the samples together
-        score = event.measures.get(f"score_s{style}", event.objective)
-        if not event.final and score is not None and math.isfinite(score):
-            points.append([event.cost / share, round(score, 5)])
-    return points
+def _failures(style: str, folder: Path) -> dict[str, int]:
+    """How many candidates had no pose, and how many let the sticks fall, as their runs say; a job that never began kept nothing."""
+    said = [json.loads(path.read_text()) for path in folder.glob("round*/inputs/*/against.txt")]
+    against = [one[f"s{style}"] for one in said if f"s{style}" in one]
+    poses = sum("has no pose" in why for why in against)
+    return {"no_pose": poses, "falls": len(against) - poses}
 
 
 def keep_grip(folder: Path, row: Mapping[str, Any], place: Path) -> None:
     """The grip of a style's best trial, which its run keeps."""
-    trial = str(row["trial"])
-    style, _, number = trial.rpartition("-")
-    names = (f"round{number}-*/inputs/*/s{style}.json", f"{trial}/inputs/*/grip.json")
-    for path in [p for name in names for p in folder.glob(name)][:1]:
+    if (path := grip_file(folder, row)) is not None:
         place.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, place / f"{style}.json")
+        shutil.copyfile(path, place / f"{row['style']}.json")
 
 
 def main() -> None:
@@ -94,6 +57,7 @@ def main() -> None:
     parser.add_argument("--machine", default="", help="what it was searched on")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--grips", type=Path, help="of the first folder, each style's best grip")
+    parser.add_argument("--gallery", action="store_true", help="a card for each style")
     given = parser.parse_args()
     lines = given.out.read_text().splitlines() if given.out.exists() else []
     kept = [json.loads(line) for line in lines]
@@ -111,6 +75,11 @@ def main() -> None:
             )
             if given.grips and folder == given.folders[0] and row["trial"]:
                 keep_grip(folder, row, given.grips)
+        if given.gallery:
+            words = json.loads((folder / "sweep.json").read_text())["given"]
+            experiment = load_experiment(words, installed())
+            journal = Journal.read(folder / "journal.jsonl")
+            print(Gallery().write(folder, "chopsticks/grips", experiment, journal))
     given.out.write_text("".join(json.dumps(row) + "\n" for row in kept))
 
 

@@ -38,11 +38,15 @@ def test_a_style_has_its_best_score_its_curve_and_its_grip(tmp_path: Path) -> No
         kept = tmp_path / trial.key / "inputs" / "0"
         kept.mkdir(parents=True)
         (kept / "s11120.json").write_text(trial.key)
+        against = {"s10012": "The style 10012 has no pose: …"} if number == 1 else {}
+        (kept / "against.txt").write_text(json.dumps(against))
     best, other = styles.rows(tmp_path)
     assert (best["style"], best["name"], best["rank"], best["of"]) == ("11120", "standard", 1, 2)
     assert (best["score"], best["trial"], best["held"], best["evaluations"]) == (0.5, "11120-1", 2, 2)  # fmt: skip
     assert best["curve"] == [[50.0, 0.25], [100.0, 0.5]], "it had the round for itself"
     assert best["learned"] == 100.0
+    assert (best["evaluation"], best["first"], best["no_pose"], best["falls"]) == (2, 0.3, 0, 0)
+    assert (other["evaluation"], other["first"], other["no_pose"], other["falls"]) == (1, 0.2, 1, 0)
     assert set(best["places"]) == {"thumb", "index", "middle", "ring"}
     assert (other["style"], other["score"], other["held"], other["evaluations"]) == ("10012", 0.2, 1, 2)  # fmt: skip
     assert other["curve"] == [[25.0, 0.1], [50.0, 0.2]]

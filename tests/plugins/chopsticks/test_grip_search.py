@@ -15,7 +15,7 @@ from understudy.inputs import Inputs
 from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
-from understudy_gripping.grip import CandidateOptions, GripOptions, build_grips
+from understudy_gripping.grip import NONE_HOLDS, CandidateOptions, GripOptions, build_grips
 from understudy_gripping.styles import styles, written
 from understudy_hand.scene import HandScene
 from understudy_reproduce.comparison import found_by
@@ -169,6 +169,9 @@ def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:
 # ------------------------------------------------------------------ candidates that share one job
 
 
+BROKEN = "failed: The grip does not hold the sticks with the arm at [0.161] rad"
+
+
 def joint(trial: Trial, without: str = "") -> Report:
     styles = sorted({path.split(".")[2] for path in trial.point})
     scores = {f"score_{s}": trial.point[f"grip.candidates.{s}.places.thumb"] for s in styles}
@@ -247,6 +250,66 @@ def test_a_search_of_jobs_goes_on_as_it_would_have() -> None:
     assert asked(first, 3) == asked(second, 3)
     with pytest.raises(ConfigError, match="of a search with other jobs"):
         made(together=2).recall(asked(made(), 0))
+
+
+def test_a_job_that_says_nothing_of_its_candidates_is_asked_once_more() -> None:
+    """As where one of them took the others with it."""
+    search = made(together=2)
+    lost = asked(search, 0)
+    search.tell(Report(lost.key, BROKEN))
+    assert {row["status"] for row in search.summary()} == {"running"}, "not failed"
+    again = asked(search, 1)
+    assert (again.key, again.point, again.overrides) == ("round0-0-again", lost.point, lost.overrides)  # fmt: skip
+    search.tell(joint(again))
+    for number in range(2, 5):
+        trial = asked(search, number)
+        assert trial.key == f"round{number - 1}-0"
+        search.tell(joint(trial))
+    assert search.ask(5) is None
+    assert search.share == 1.0
+    rows = [row for row in search.summary() if row["search"] == "11200"]
+    assert [row["status"] for row in rows] == ["ok"] * 4
+    assert [row["job"] for row in rows] == ["round0-0-again", "round1-0", "round2-0", "round3-0"]
+
+
+def test_a_journal_whose_lost_round_was_passed_over_makes_up_for_it() -> None:
+    """It was written when a round that could not begin counted as failed, and goes on in the middle of a later one."""
+    source, search = made(together=2), made(together=2)
+    trials = [asked(source, number) for number in range(4)]
+    for number, trial in enumerate(trials[:3]):
+        assert search.recall(trial)
+        if number < 2:
+            search.tell(joint(trial) if number else Report(trial.key, BROKEN))
+    again = asked(search, 3)
+    assert (again.key, again.point) == ("round0-0-again", trials[0].point)
+    assert asked(search, 4) == trials[3]
+    for trial in (trials[2], again, trials[3]):
+        search.tell(joint(trial))
+    assert search.ask(5) is None
+    assert search.share == 1.0
+
+
+@pytest.mark.parametrize(
+    ("status", "cost"),
+    [(f"failed: {NONE_HOLDS} The style …", 0.0), ("failed: numbers are none any more", 50.0)],
+)
+def test_a_job_that_says_something_counts(status: str, cost: float) -> None:
+    search = made(together=2)
+    search.tell(joint(asked(search, 0)))
+    search.tell(Report(asked(search, 1).key, status, cost=cost))
+    assert [row["status"] for row in search.summary()[1::2]] == ["failed"] * 2
+    assert asked(search, 2).key == "round2-0"
+
+
+def test_a_job_that_fails_twice_has_failed() -> None:
+    search = made(together=2)
+    search.tell(joint(asked(search, 0)))
+    for number, key in ((1, "round1-0"), (2, "round1-0-again")):
+        trial = asked(search, number)
+        assert trial.key == key
+        search.tell(Report(trial.key, "failed: the process died"))
+    assert [row["status"] for row in search.summary()[1::2]] == ["failed"] * 2
+    assert asked(search, 3).key == "round2-0"
 
 
 def test_a_job_composes_with_a_measure_for_each(plugins: Plugins) -> None:

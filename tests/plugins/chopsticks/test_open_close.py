@@ -312,6 +312,30 @@ def test_each_world_has_its_own_grip(grip: Grip) -> None:
     )
 
 
+def test_a_candidate_that_falls_where_the_arm_begins_is_left_out_alone(
+    grip: Grip, plugins: Plugins
+) -> None:
+    """With the arm at its own pose it holds: that it was found there says nothing of others."""
+    weak = replace(grip, targets=grip.poses + 0.6 * (grip.targets - grip.poses))
+    experiment = load_experiment(TASK, plugins)
+    scene = HandScene(HandScene.Options())
+    Gripping(Grips({"grip": weak}), scene, alone())
+    with pytest.raises(ConfigError, match="The grip 11120 does not hold the sticks"):
+        build_environment(experiment, sections={"grip": Grips({"grip": weak})})
+    both = Grips({"a": grip, "b": weak, "c": grip})
+    built = build_environment(experiment, sections={"grip": both})
+    built.environment.reset()
+    assert list(both.by_name) == ["a", "c"]
+    assert "with the arm at" in both.against["b"]
+    assert field(built, "from_b").tolist() == [0, 0, 0, 0]
+    assert field(built, "from_c").tolist() == [0, 1, 0, 1]
+    built.environment.close()
+    with pytest.raises(ConfigError, match="No candidate holds the sticks"):
+        build_environment(experiment, sections={"grip": Grips({"a": weak, "b": weak})})
+    with pytest.raises(ConfigError, match="The grip 11120 does not hold"):  # its policy sees two
+        build_environment(experiment, sections={"grip": Grips({"a": grip, "b": weak}, begun=True)})
+
+
 # ------------------------------------------------------------------ bad input
 
 
@@ -335,7 +359,7 @@ def test_each_world_has_its_own_grip(grip: Grip) -> None:
                 "scene.contact.solref=[0.02, 1]",
                 "scene.contact.solimp=[0.9, 0.95, 0.001]",
             ],
-            "The grip does not hold the sticks",
+            "The grip 11120 does not hold the sticks",
         ),
         (["scene.contact.noslip_iterations=5"], "noslip_iterations=5 is not possible"),
     ],

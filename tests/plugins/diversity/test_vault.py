@@ -16,8 +16,9 @@ from understudy.command.cli import main
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.testing import check_environment, check_simulator
-from understudy_diversity.peaks import figure, png
+from understudy_diversity.peaks import figure
 from understudy_reinforcement.job import Reinforcement
+from understudy_report.pictures import png
 
 QUICK = (
     "search=diversity/vault",

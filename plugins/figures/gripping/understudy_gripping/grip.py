@@ -34,7 +34,7 @@ from understudy_hand.table import ARM_POSE, FEWEST, FINGERS, Measures
 from understudy_hand.tools import GRIPPERS, HALF_LENGTH, Tool, upper_pose
 from understudy_tensors import rotations
 
-__all__ = ["Grip", "Grips"]
+__all__ = ["NONE_HOLDS", "Grip", "Grips", "load_grip"]
 
 #: N, wanted of each contact, and the share of it that each bears at least; 2 N and a quarter lose the sticks of a human hand under 40 mrad
 #: of noise, these do not at 60.
@@ -51,6 +51,8 @@ _LARGEST = 1 << 20
 _ONLY = "grip"
 _TOOLS = {"sticks": "two sticks", "tongs": "tongs", "brush": "a brush", "none": "no tool"}
 _THE = {"sticks": "the sticks", "tongs": "the tongs", "brush": "the brush"}
+#: How the sentence begins that refuses a job of candidates none of which can begin.
+NONE_HOLDS = "No candidate holds the sticks."
 #: In the folder of a run, beside the grips that were found for it: what is against the others.
 _AGAINST = "against.txt"
 
@@ -300,8 +302,12 @@ def _refuse_unreachable(what: str, poses: Poses) -> None:
 
 
 def load_grip(path: Path) -> Grip:
-    """Raises:
-    FileError: the file is missing, or no grip.
+    """The grip in the JSON file `path`, as :meth:`Grip.save` writes it.
+
+    Raises
+    ------
+    FileError
+        the file is missing, or no grip.
     """
     try:
         values = json.loads(read(path, _LARGEST))
@@ -365,6 +371,8 @@ class Grips:
     against: Mapping[str, str] = field(default_factory=dict)
     #: Finds them once the hand is known, where they are asked for by style.
     find: Callable[[HandScene], Grips] | None = None
+    #: Whether a job has begun with these, so that none can be left out any more: its policy sees whose world it is.
+    begun: bool = False
 
     @property
     def are_candidates(self) -> bool:
@@ -384,6 +392,26 @@ class Grips:
                 found = self.find(scene)
             self.by_name, self.against, self.find = found.by_name, found.against, None
         return self
+
+    def leave_out(self, against: Mapping[str, str]) -> None:
+        """Go on without those candidates, each with what is `against` it; the others are not touched.
+
+        Raises
+        ------
+        ConfigError
+            none is left, or they cannot be left out: a grip that has the job for itself, or a job that has begun.
+        """
+        if not against:
+            return
+        if self.begun or not self.are_candidates:
+            raise ConfigError(next(iter(against.values())))
+        self.against = {**self.against, **against}
+        self.by_name = {n: grip for n, grip in self.by_name.items() if n not in against}
+        self._need_one()
+
+    def _need_one(self) -> None:
+        if not self.by_name:
+            raise ConfigError(f"{NONE_HOLDS} {next(iter(self.against.values()))}")
 
 
 @dataclass(frozen=True)
@@ -471,17 +499,16 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
             f"grip.candidates are styles of hands of {' and '.join(map(str, sorted(fingers)))} fingers. Give those "
             "of one hand."
         )
-    made: list[Grips] = []
 
     def keep(folder: Path) -> None:
-        if not made:
+        if grips.find is not None:
             raise ConfigError(
                 "Nothing here holds a tool, so grip.style finds no grip. Leave it out."
             )
         folder.mkdir(parents=True, exist_ok=True)
-        for name, grip in made[0].by_name.items():
+        for name, grip in grips.by_name.items():
             grip.save(folder / f"{name}.json")
-        write_atomically(folder / _AGAINST, json.dumps(made[0].against).encode())
+        write_atomically(folder / _AGAINST, json.dumps(grips.against).encode())
 
     asked = f"grips {[(n, written(c.style), c.places) for n, c in candidates.items()]}"
     folder = inputs.folder_of(asked, Path(), keep)
@@ -497,14 +524,11 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
             ((name, candidate),) = candidates.items()
             human = HandScene(HandScene.Options(scene.measures.fingers))
             found = Grips({name: find_grip(human, candidate.style, candidate.places)})
-        if not found.by_name:
-            raise ConfigError(
-                f"No candidate holds the sticks. {next(iter(found.against.values()))}"
-            )
-        made.append(found)
+        found._need_one()
         return found
 
-    return Grips(find=find)
+    grips = Grips(find=find)
+    return grips
 
 
 def _refuse_another_hand(style: Style, scene: HandScene) -> None:
@@ -577,6 +601,7 @@ def _kept(folder: Path, names: Sequence[str]) -> Grips:
     return Grips(
         {name: load_grip(folder / f"{name}.json") for name in names if name not in against},
         {name: against[name] for name in names if name in against},
+        begun=True,
     )
 
 

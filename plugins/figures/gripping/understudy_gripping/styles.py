@@ -15,7 +15,7 @@ from understudy.errors import ConfigError
 from understudy_hand.table import FINGERS
 from understudy_hand.tools import Tool
 
-__all__ = ["Style", "read_style", "styles", "written"]
+__all__ = ["NAMED", "Style", "read_style", "styles", "written"]
 
 Style = tuple[int, ...]
 UPPER, LOWER = 1, 2

@@ -14,6 +14,7 @@ REQUIRES = (
     "mujoco",
     "networks",
     "ppo",
+    "report",
     "skills",
     "sweeps",
     "tensors",
@@ -58,6 +59,9 @@ PARTS = {
         "chopsticks/lost": ("relocate:lost", "the object is far from where it is planned"),
         "chopsticks/missed": ("relocate:missed", "the plan is over, the object elsewhere"),
         "chopsticks/placed": ("relocate:placed", "the object is where it shall be"),
+    },
+    "sweep_page": {
+        "chopsticks/gallery": ("gallery:Gallery", "the best grip of each style"),
     },
     "outer_loop": {
         "chopsticks/grips": ("search:GripSearch", "places of fingers, by style"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
 from understudy_gripping.grip import Grip, Grips
 from understudy_gripping.hold import hold, placed
+from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import GRIPPERS, upper_pose
@@ -45,16 +46,24 @@ _MOST = 256  #: of them are kept
 class Gripping:
     """The task's grips in their scene: what plans, starts and targets share. Built once a task.
 
-    C candidates; world i has the grip of number i mod C.
+    C candidates; world i has the grip of number i mod C. One that holds no stick here, with the arm at its own pose or at any
+    of `arms`, has no world: it was found in another scene, and at one pose.
+
+    Parameters
+    ----------
+    arms
+        (A, 7) rad: where episodes begin besides.
+
+    Raises
+    ------
+    ConfigError
+        no grip holds the sticks; a job that has begun is left with fewer; one is of another hand than the scene's.
     """
 
-    def __init__(self, grips: Grips, scene: HandScene, context: Context) -> None:
-        self.names, self.scene = tuple(grips.by_name), scene
-        self.grips = list(grips.by_name.values())
-        self.groups = Groups(self.names, context, tuple(grips.against))
-        #: Whether the job is one of candidates, so that a world has to say whose it is; one may be left of them.
-        self.several = grips.are_candidates
-        first, device = self.grips[0], context.device
+    def __init__(
+        self, grips: Grips, scene: HandScene, context: Context, arms: Sequence[np.ndarray] = ()
+    ) -> None:
+        first, device = next(iter(grips.by_name.values())), context.device
         for name, grip in grips.by_name.items():
             grip.need(scene)
             if not np.array_equal(grip.angles, first.angles):
@@ -64,10 +73,23 @@ class Gripping:
         #: How the tool's parts hang together; None of a tool of one part.
         self._gripper = GRIPPERS.get(scene.options.tool)
         # Pressed against the sticks a hand is not quite where it just touches them.
-        settled = [
-            [_settled(grip, scene, ARM_POSE, row) for row in range(len(grip.angles))]
-            for grip in self.grips
-        ]
+        settled, against = list[list[tuple[np.ndarray, np.ndarray]]](), dict[str, str]()
+        for name, grip in grips.by_name.items():
+            try:
+                rows = [_settled(grip, scene, ARM_POSE, row) for row in range(len(grip.angles))]
+                for arm in arms:
+                    _settled(grip, scene, arm, 0)
+            except ConfigError as error:
+                against[name] = str(error)
+            else:
+                settled.append(rows)
+        grips.leave_out(against)
+        grips.begun = True
+        self.names, self.scene = tuple(grips.by_name), scene
+        self.grips = list(grips.by_name.values())
+        self.groups = Groups(self.names, context, tuple(grips.against))
+        #: Whether the job is one of candidates, so that a world has to say whose it is; one may be left of them.
+        self.several = grips.are_candidates
         poses = np.array([[q[len(ARM_POSE) : scene.hinges] for q, _ in rows] for rows in settled])
         self.angles = torch.tensor(first.angles, dtype=torch.float32, device=device)
         #: (C, K, H) rad: the hand's poses, and targets of its servos, at the angles.
@@ -172,7 +194,7 @@ def _hold(
     if held.fell is not None:
         further = f" {1e3 * along:g} mm further along" if along else ""
         raise ConfigError(
-            f"The grip does not hold the {scene.options.tool}{further} with the arm at {np.round(arm, 3).tolist()} rad at an "
+            f"The grip {written(grip.style)} does not hold the {scene.options.tool}{further} with the arm at {np.round(arm, 3).tolist()} rad at an "
             f"angle of {grip.angles[row]:g} rad: a part falls after {held.fell:.2f} s. Choose another "
             "grip (grip.file), arm (initial_states.arms) or contact (scene.contact)."
         )
@@ -189,7 +211,9 @@ def gripping(context: Context, who: str) -> Gripping:
     """The task's, from the config section ``grip``."""
     scene = context.need_scene(HandScene, who)
     grips = context.need_section("grip", Grips, who)
-    return context.once("gripping", lambda: Gripping(grips.in_hand(scene), scene, context))
+    starts = [one.options for one in context.chosen.get("initial_states", ())]
+    arms = [arm for o in starts if isinstance(o, OpenAndClose.Options) for arm in o.arms_in(scene)]
+    return context.once("gripping", lambda: Gripping(grips.in_hand(scene), scene, context, arms))
 
 
 def angle_at(amplitude: Tensor, rate: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
@@ -319,6 +343,16 @@ class OpenAndClose(InitialStates):
                 raise ValueError("arms=[] is not possible: give at least one.")
             check_range(self)
 
+        def arms_in(self, scene: HandScene) -> np.ndarray:
+            """(A, 7) rad: the arm's poses. Raises ConfigError where one is beyond its range."""
+            arms = np.array(ARM_POSE) + np.array(self.arms)
+            low, high = scene.model.jnt_range[: len(ARM_POSE)].T
+            if ((arms < low) | (arms > high)).any():
+                raise ConfigError(
+                    "initial_states.arms is not possible: an angle is beyond the arm's range. Give less."
+                )
+            return arms
+
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "initial_states 'chopsticks/open_and_close'")
         self._options, model = options, made.scene.model
@@ -332,13 +366,7 @@ class OpenAndClose(InitialStates):
                 f"initial_states.amplitude={list(options.amplitude)} is not possible: the grip closes by "
                 f"{most:g} rad. Give less, or another grip."
             )
-        arms = np.array(ARM_POSE) + np.array(options.arms)
-        low, high = model.jnt_range[: len(ARM_POSE)].T
-        if ((arms < low) | (arms > high)).any():
-            raise ConfigError(
-                "initial_states.arms is not possible: an angle is beyond the arm's range. Give less."
-            )
-        device = context.device
+        device, arms = context.device, options.arms_in(made.scene)
         self._arms = torch.tensor(arms, dtype=torch.float32, device=device)
         starts = np.array([made.begin(arm) for arm in arms])
         #: (A, C, nq)

@@ -16,6 +16,7 @@ from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.side_by_side import CANDIDATE, reports, together
 from understudy_bayes.space import Parameter
 from understudy_bayes.surrogate import SurrogateOptions
+from understudy_gripping.grip import NONE_HOLDS
 from understudy_gripping.holding import holding
 from understudy_gripping.styles import Style, read_style, styles, written
 from understudy_hand.table import FEWEST, FINGERS
@@ -28,7 +29,8 @@ class GripSearch(OuterLoop):
     each of several styles in one job.
 
     A candidate whose fingers do not reach, or that lets the sticks fall within a second, costs no sample; it
-    counts as an evaluation that failed.
+    counts as an evaluation that failed. A job that could not begin for another reason says nothing of its candidates:
+    they are asked for once more, together, and count as failed only if that does not begin either.
     """
 
     extendable = ("evaluations",)
@@ -68,8 +70,16 @@ class GripSearch(OuterLoop):
         ]
         self._begun: set[str] = set()  #: styles with a candidate that could begin
         self._told = 0
+        #: Of shared jobs: what was asked, by key, and the keys of those that said nothing, in order.
+        self._asked: dict[str, Trial] = {}
+        self._void: list[str] = []
 
     def ask(self, number: int) -> Trial | None:
+        for key in self._void:
+            if (again := key + _AGAIN) not in self._asked:
+                trial = dataclasses.replace(self._asked[key], key=again)
+                return self._asked.setdefault(again, trial)
+        number -= sum(key.endswith(_AGAIN) for key in self._asked)
         turn, row = divmod(number, len(self._jobs))
         if turn >= self._evaluations:
             return None
@@ -79,7 +89,8 @@ class GripSearch(OuterLoop):
             return None
         if self._shared:
             shared = {_NAME + style: _of(style, trial, _SHARED) for style, trial in trials.items()}
-            return together(f"round{turn}-{row}", shared, (_MEASURE,))
+            trial = together(f"round{turn}-{row}", shared, (_MEASURE,))
+            return self._asked.setdefault(trial.key, trial)
         ((style, trial),) = trials.items()
         return dataclasses.replace(_of(style, trial, "grip."), key=f"{style}-{turn}")
 
@@ -98,10 +109,15 @@ class GripSearch(OuterLoop):
                 if path.startswith(front)
             }
             wanted.append(search.recall(Trial(key, point=point)))
+        if self._shared:
+            self._asked[trial.key] = trial
         return all(wanted)
 
     def tell(self, report: Report) -> Literal["stop"] | None:
         own = {s: key for s, key in self._own(report.key).items() if s in self._searches}
+        if self._shared and report.final and _is_void(report):
+            self._void.append(report.key)
+            return None
         if self._shared and report.final:
             named = {_NAME + style: key for style, key in own.items()}
             found = reports(report, named, _OBJECTIVE)
@@ -139,7 +155,9 @@ class GripSearch(OuterLoop):
                 for row in self._searches[style].summary():
                     number = row["trial"].removeprefix("trial")
                     named = {**row, "trial": f"{style}-{number}", "search": style}
-                    job = {"job": f"round{number}-{place}"} if self._shared else {}
+                    key = f"round{number}-{place}"
+                    again = key + _AGAIN
+                    job = {"job": again if again in self._asked else key} if self._shared else {}
                     rows.append({**named, **job})
         return rows
 
@@ -148,7 +166,7 @@ class GripSearch(OuterLoop):
         if not self._shared:
             style, _, number = key.rpartition("-")
             return {style: f"trial{number}"}
-        turn, _, row = key.removeprefix("round").partition("-")
+        turn, _, row = key.removeprefix("round").removesuffix(_AGAIN).partition("-")
         numbers = key.startswith("round") and turn.isdecimal() and row.isdecimal()
         if not (numbers and int(row) < len(self._jobs)):
             raise ConfigError(
@@ -157,6 +175,8 @@ class GripSearch(OuterLoop):
         return dict.fromkeys(self._jobs[int(row)], f"trial{turn}")
 
 
+#: How the key ends of a job that is asked for once more.
+_AGAIN = "-again"
 #: A candidate's name is a style's digits after this: a number is no name of a field.
 _NAME = "s"
 #: Where a candidate of several stands, and by which measure it is judged.
@@ -166,6 +186,16 @@ _MEASURE = (
     f"measure.{_OBJECTIVE}={{name: value_where, reads: {{value: reward, where: from_{CANDIDATE}}}, "
     "reduce: mean}"
 )
+
+
+def _is_void(report: Report) -> bool:
+    """Whether a job broke off before any training, and not since none of its candidates can begin."""
+    return (
+        report.status != "ok"
+        and report.cost == 0
+        and NONE_HOLDS not in report.status
+        and not report.key.endswith(_AGAIN)
+    )
 
 
 def _of(style: str, trial: Trial, front: str) -> Trial:

@@ -14,7 +14,6 @@ import torch
 
 from understudy_bayes import draws
 from understudy_diversity.novel_policies import NovelPolicies
-from understudy_diversity.peaks import png
 from understudy_diversity.strategies import (
     DiversityOptions,
     GalleryOptions,
@@ -23,6 +22,7 @@ from understudy_diversity.strategies import (
     distances,
 )
 from understudy_report import words
+from understudy_report.pictures import png
 
 #: Okabe and Ito's, which colour-blind readers tell apart, then others like them.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#a6761d",

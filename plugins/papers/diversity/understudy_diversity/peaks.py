@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from understudy.errors import UnderstudyError
 from understudy.folders import DOCUMENT
 from understudy.records.checkpoint import write_atomically
 from understudy_diversity.strategies import GalleryOptions
+from understudy_report.pictures import png
 from understudy_report.recording import recorded_tracks
 from understudy_report.video import write_video
 from understudy_sweeps.film import scene_of
@@ -119,22 +118,4 @@ def figure(outline: np.ndarray | None, elevation: float) -> str:
     return (
         '<svg class="pose" viewBox="-105 -95 210 190" role="img" aria-label="pose at the peak" '
         f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
-    )
-
-
-def png(frame: np.ndarray) -> bytes:
-    """A picture (H, W, 3 or 4) uint8 as a PNG file."""
-    height, width, channels = frame.shape
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        check = struct.pack(">I", zlib.crc32(kind + data))
-        return struct.pack(">I", len(data)) + kind + data + check
-
-    rows = np.hstack([np.zeros((height, 1), np.uint8), frame.reshape(height, -1)])
-    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 4: 6}[channels], 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", head)
-        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6))
-        + chunk(b"IEND", b"")
     )

@@ -12,7 +12,18 @@ import numpy as np
 from understudy_report import words
 from understudy_report.values import Row, number
 
-__all__ = ["HEIGHT", "WIDTH", "Axes", "Chart", "Series", "draw_series", "grid", "svg", "thinned"]
+__all__ = [
+    "HEIGHT",
+    "WIDTH",
+    "Axes",
+    "Chart",
+    "Series",
+    "draw_chart",
+    "draw_series",
+    "grid",
+    "svg",
+    "thinned",
+]
 
 
 @dataclass(frozen=True)
