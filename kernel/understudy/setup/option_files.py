@@ -6,9 +6,9 @@ needs, and throws them away.
 
 from __future__ import annotations
 
+import copy
 import functools
 import os
-import pickle
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from stat import S_ISREG
@@ -28,11 +28,10 @@ __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
 #: A file's path, time of change, size and number.
 State = tuple[str | int, ...]
-#: What each file has, pickled: Hydra changes what it is given, and a copy by pickle takes a fourth of deepcopy's time.
-_read: dict[State, bytes] = {}
+_read: dict[State, ConfigResult | None] = {}
 #: What files alone compose, by their folders and what chose them, and which files these were.
-_composed: dict[tuple[str, ...], tuple[dict[str, State | None], bytes]] = {}
-_MOST = 1000  #: such compositions that are kept, of some 10 kB each
+_composed: dict[tuple[str, ...], tuple[dict[str, State | None], DictConfig]] = {}
+_MOST = 100  #: such compositions that are kept
 
 
 @functools.lru_cache(1024)
@@ -56,11 +55,11 @@ class OptionFiles(ConfigRepository):
         if config_path not in self._loaded:
             state = self.states[config_path] = self.state(config_path)
             if state and state not in _read:
-                found = super().load_config(config_path)
+                _read[state] = found = super().load_config(config_path)
                 if found:
                     found.is_schema_source = True  # for which Hydra seeks no schema
-                _read[state] = pickle.dumps(found)
-            self._loaded[config_path] = pickle.loads(_read[state]) if state else None
+            kept = _read[state] if state else None
+            self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
         return self._loaded[config_path]
 
     def state(self, config_path: str) -> State | None:
@@ -105,14 +104,13 @@ def _sets(override: Override, files: OptionFiles) -> bool:
 def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
     """What the files have that `overrides` choose, composed anew only if one of them has changed."""
     key = (*(source.path for source in files.sources), *overrides)
-    states, kept = _composed.get(key, ({}, b""))
-    if not kept or any(files.state(path) != state for path, state in states.items()):
+    states, config = _composed.get(key, ({}, None))
+    if config is None or any(files.state(path) != state for path, state in states.items()):
         defaults = choices(files, overrides).defaults
         loader = ConfigLoaderImpl(ConfigSearchPathImpl())
         config = loader._compose_config_from_defaults_list(defaults, files)
         OmegaConf.set_struct(config, True)
         if len(_composed) >= _MOST:
             _composed.clear()
-        kept = pickle.dumps(config)
-        _composed[key] = (files.states, kept)
-    return pickle.loads(kept)
+        _composed[key] = (files.states, config)
+    return copy.deepcopy(config)
