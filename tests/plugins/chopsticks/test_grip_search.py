@@ -312,6 +312,27 @@ def test_a_job_that_fails_twice_has_failed() -> None:
     assert asked(search, 3).key == "round2-0"
 
 
+def test_of_a_job_whose_question_is_lost_nothing_is_asked_again() -> None:
+    """As where its row of a journal is damaged, and that of its end is not."""
+    search = made(together=2)
+    search.tell(Report("round0-0", BROKEN))
+    search.tell(Report("round7-0-again", BROKEN))
+    assert asked(search, 0).key == "round0-0"
+
+
+def test_what_was_asked_once_more_is_known_when_the_search_goes_on() -> None:
+    first, second = made(together=2), made(together=2)
+    lost = asked(first, 0)
+    first.tell(Report(lost.key, BROKEN))
+    again = asked(first, 1)
+    for trial in (lost, again):
+        assert second.recall(trial)
+        second.tell(Report(trial.key, BROKEN) if trial is lost else joint(trial))
+    first.tell(joint(again))
+    assert second.summary() == first.summary()
+    assert asked(second, 2) == asked(first, 2)
+
+
 def test_a_job_composes_with_a_measure_for_each(plugins: Plugins) -> None:
     trial = asked(made(together=2), 0)
     words = [f"{name}={value!r}" for name, value in trial.point.items()]

@@ -115,6 +115,8 @@ class GripSearch(OuterLoop):
 
     def tell(self, report: Report) -> Literal["stop"] | None:
         own = {s: key for s, key in self._own(report.key).items() if s in self._searches}
+        if self._shared and report.key not in self._asked:
+            return None  # of what nobody asked for, as where a journal is damaged
         if self._shared and report.final and _is_void(report):
             self._void.append(report.key)
             return None
