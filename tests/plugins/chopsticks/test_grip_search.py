@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -331,6 +332,16 @@ def test_what_was_asked_once_more_is_known_when_the_search_goes_on() -> None:
     first.tell(joint(again))
     assert second.summary() == first.summary()
     assert asked(second, 2) == asked(first, 2)
+
+
+@pytest.mark.parametrize("options", [{}, {"together": 2}])
+def test_a_journal_asks_for_nothing_of_its_own(options: dict[str, int]) -> None:
+    """As one of a stranger's would, of whom the folder came."""
+    trial = asked(made(**options), 0)
+    assert made(**options).recall(trial)
+    more = replace(trial, overrides=(*trial.overrides, "motion.file=/etc/passwd"))
+    with pytest.raises(ConfigError, match=r"had other overrides .* motion\.file=/etc/passwd"):
+        made(**options).recall(more)
 
 
 def test_a_job_composes_with_a_measure_for_each(plugins: Plugins) -> None:

@@ -95,7 +95,7 @@ class GripSearch(OuterLoop):
         return dataclasses.replace(_of(style, trial, "grip."), key=f"{style}-{turn}")
 
     def recall(self, trial: Trial) -> bool:
-        wanted = []
+        wanted, expected = [], list[str]()
         for style, key in self._own(trial.key).items():
             if style not in self._searches:
                 raise ConfigError(
@@ -103,12 +103,19 @@ class GripSearch(OuterLoop):
                 )
             search = self._searches[style]
             front = _SHARED.replace(CANDIDATE, _NAME + style) if self._shared else "grip."
+            expected += _of(style, Trial(key), front).overrides
+            expected += [_MEASURE.replace(CANDIDATE, _NAME + style)] if self._shared else []
             point = {
                 "grip." + path.removeprefix(front): value
                 for path, value in trial.point.items()
                 if path.startswith(front)
             }
             wanted.append(search.recall(Trial(key, point=point)))
+        if trial.overrides != tuple(expected):  # a journal may be a stranger's
+            raise ConfigError(
+                f"Trial '{trial.key}' had other overrides when this search began: {', '.join(trial.overrides)}. Give "
+                "run.dir another folder."
+            )
         if self._shared:
             self._asked[trial.key] = trial
         return all(wanted)
