@@ -112,7 +112,7 @@ class Grip:
             )
         model = scene.model
         hand = tuple(model.joint(j).name for j in range(len(ARM_POSE), scene.hinges))
-        if hand != self.hinges:
+        if len(hand) != len(self.hinges) or (not self.robot and hand != self.hinges):
             raise ConfigError(
                 f"The grip {written(self.style)} names other hinges than the scene's hand has. Find it anew: "
                 "understudy grip STYLE FILE."
