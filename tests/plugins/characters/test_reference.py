@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import FileError
+from understudy_characters import reference as module
 from understudy_characters.character import Character
 from understudy_characters.initial_states import reference_states
 from understudy_characters.layout import Layout, layout_of
@@ -97,6 +98,20 @@ def test_the_same_content_is_tabulated_once(monkeypatch: pytest.MonkeyPatch) -> 
     reference(build_spec(), clip, dt=2 * DT)
     reference(build_spec(), replace(clip, loop=False))
     assert len(tabulated) == 5
+
+
+def test_no_more_tables_are_kept_than_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_tables", {})
+    own = Character("humanoid", build_spec().compile())
+    layout = layout_of(own)
+
+    def kept(dt: float) -> int:
+        ReferenceMotion(generated_walk(), own, layout, control_dt=dt)
+        return len(module._tables)
+
+    assert [kept(DT), kept(2 * DT), kept(DT)] == [1, 2, 2]
+    monkeypatch.setattr(module, "_MOST", 1000)
+    assert kept(4 * DT) == 1
 
 
 def test_matches_the_clip(reference: ReferenceMotion, character: Character, layout: Layout) -> None:

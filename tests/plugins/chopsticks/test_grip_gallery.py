@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from commands import forked
 
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy_chopsticks import gallery
+from understudy_chopsticks.found import grip_file
 from understudy_chopsticks.search import GripSearch
 from understudy_gripping.grip import Grip, load_grip, standard
 from understudy_gripping.hold import hold, placed
@@ -55,6 +59,47 @@ def test_a_search_that_is_not_finished_has_a_card_for_each_style(
     assert "1. 11120 standard<b>0.500</b>" in page
     assert "2. 11200 right hand rule<b>no grip held</b>" in page
     assert "0 of 1 candidates held the sticks" in page
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"hinges": ["<b>"], "poses": [[0.0]] * 5, "targets": [[0.0]] * 5}, "names other hinges"),
+        ({"robot": "<script>"}, "of another hand: &lt;script&gt;"),
+    ],
+)
+def test_a_card_says_why_it_has_no_pictures(
+    changed: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    """One file that is no grip of the hand takes none of the other cards with it, and gets nothing into the page."""
+    kept = tmp_path / "round0-0" / "inputs" / "0" / "s11120.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps(json.loads(standard().read_text()) | changed))
+    row = {"style": "11120", "name": "standard", "rank": 1, "score": 0.5, "held": 1, "evaluations": 1,
+           "evaluation": 1, "first": 0.5, "trial": "11120-0", "curve": []}  # fmt: skip
+    assert said in gallery._card(row, tmp_path)
+
+
+def test_the_grip_of_a_job_that_was_asked_once_more_is_the_later_ones(tmp_path: Path) -> None:
+    for name in ("round0-0", "round0-0-again", "round1-0"):
+        kept = tmp_path / name / "inputs" / "0"
+        kept.mkdir(parents=True)
+        (kept / "s11120.json").touch()
+    found = grip_file(tmp_path, {"trial": "11120-0"})
+    assert found is not None
+    assert found.parts[-4] == "round0-0-again"
+
+
+def test_it_says_nothing_of_other_sweeps_without_the_libraries_of_searches(tmp_path: Path) -> None:
+    """It is asked about every sweep, which may well be made without them."""
+    code = (
+        "import sys; assert not {'botorch', 'gpytorch', 'understudy_chopsticks.gallery'} & {*sys.modules}\n"
+        "sys.modules.update(botorch=None, gpytorch=None)\n"
+        "from understudy.setup.plugins import installed\n"
+        "installed().registry.find('sweep_page', 'chopsticks/gallery').factory()"
+    )
+    done = forked(code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
 
 
 def test_another_search_has_no_gallery_of_grips(tmp_path: Path, plugins: Plugins) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -310,6 +311,37 @@ def test_a_job_that_fails_twice_has_failed() -> None:
         search.tell(Report(trial.key, "failed: the process died"))
     assert [row["status"] for row in search.summary()[1::2]] == ["failed"] * 2
     assert asked(search, 3).key == "round2-0"
+
+
+def test_of_a_job_whose_question_is_lost_nothing_is_asked_again() -> None:
+    """As where its row of a journal is damaged, and that of its end is not."""
+    search = made(together=2)
+    search.tell(Report("round0-0", BROKEN))
+    search.tell(Report("round7-0-again", BROKEN))
+    assert asked(search, 0).key == "round0-0"
+
+
+def test_what_was_asked_once_more_is_known_when_the_search_goes_on() -> None:
+    first, second = made(together=2), made(together=2)
+    lost = asked(first, 0)
+    first.tell(Report(lost.key, BROKEN))
+    again = asked(first, 1)
+    for trial in (lost, again):
+        assert second.recall(trial)
+        second.tell(Report(trial.key, BROKEN) if trial is lost else joint(trial))
+    first.tell(joint(again))
+    assert second.summary() == first.summary()
+    assert asked(second, 2) == asked(first, 2)
+
+
+@pytest.mark.parametrize("options", [{}, {"together": 2}])
+def test_a_journal_asks_for_nothing_of_its_own(options: dict[str, int]) -> None:
+    """As one of a stranger's would, of whom the folder came."""
+    trial = asked(made(**options), 0)
+    assert made(**options).recall(trial)
+    more = replace(trial, overrides=(*trial.overrides, "motion.file=/etc/passwd"))
+    with pytest.raises(ConfigError, match=r"had other overrides .* motion\.file=/etc/passwd"):
+        made(**options).recall(more)
 
 
 def test_a_job_composes_with_a_measure_for_each(plugins: Plugins) -> None:

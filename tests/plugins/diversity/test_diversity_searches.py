@@ -398,14 +398,18 @@ def test_a_feature_of_other_numbers_is_one_sentence() -> None:
 
 @pytest.fixture
 def searched(tmp_path: Path) -> Path:
+    return searched_in(tmp_path)
+
+
+def searched_in(folder: Path) -> Path:
     """A search that found two strategies, one of them twice, and failed once."""
-    journal = Journal(tmp_path / "journal.jsonl")
+    journal = Journal(folder / "journal.jsonl")
     for number, (angle, success) in enumerate([(0.5, 1.0), (2.5, 1.0), (0.6, 1.0), (1.5, 0.1)]):
         trial = Trial(f"trial{number}", point={"a.x": 0.1 * number, "a.y": 0.5})
         measures = {"angle": angle, "success_rate": success}
         journal.ask(trial)
-        journal.tell(Report(trial.key, "ok", 0.0, measures, 10.0, str(tmp_path / trial.key)))
-    return tmp_path
+        journal.tell(Report(trial.key, "ok", 0.0, measures, 10.0, str(folder / trial.key)))
+    return folder
 
 
 def novel(folder: Path, **options: Any) -> NovelPolicies:
@@ -477,6 +481,16 @@ def _failed(folder: Path) -> Path:
     journal.ask(Trial("trial0", point={"a.x": 0.5}))
     journal.tell(Report("trial0", "ok", 0.0, {"angle": 0.5, "success_rate": 0.0}, 10.0))
     return folder
+
+
+def test_strategies_of_a_search_that_was_moved_are_where_it_is(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    searched_in(tmp_path / "here")
+    (tmp_path / "here").rename(tmp_path / "there")
+    trial = novel(tmp_path / "there").ask(0)
+    assert trial is not None
+    assert trial.start is not None
+    assert trial.start["run"] == str(tmp_path / "there" / "trial0")
 
 
 def test_options_are_data() -> None:

@@ -186,6 +186,15 @@ def test_files_that_are_none_are_refused(text: str, said: str, tmp_path: Path) -
     assert said in str(error.value)
 
 
+def test_a_grip_with_other_hinges_is_not_of_the_hand(grip: Grip) -> None:
+    """As a file may name them; they are those of every grip that comes with the plugin."""
+    grip.need(scene())
+    fewer = replace(grip, hinges=grip.hinges[:-1], poses=grip.poses[:, :-1])
+    for one in (fewer, replace(grip, hinges=grip.hinges[::-1])):
+        with pytest.raises(ConfigError, match="11120 names other hinges than the scene's hand"):
+            one.need(scene())
+
+
 @pytest.mark.timeout(20)
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "grip.json")

@@ -35,6 +35,49 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     assert (again.asked, again.finished) == ([ASKED], {})
 
 
+def moved(path: Path, *events: Trial | Report) -> list[Trial | Report]:
+    """What a journal of the `events` knows once its sweep's folder is ``there``; the file has the same."""
+    journal = Journal(path, [*events])
+    journal.move("there")
+    kept = Journal.read(path).events if path.exists() else [*events]
+    assert kept == journal.events
+    return journal.events
+
+
+def test_only_paths_of_runs_move(tmp_path: Path) -> None:
+    """Where a folder is called as a group of options is, what names an option is no path."""
+    told = Report("first", "ok", run="dressing/first")
+    words = ("experiment=dressing/shirt", "search=dressing/first_of_all", "x=not/dressing/first")
+    named = (*words, "start.run='dressing/first'", "y=['dressing/first/ends','dressing/first~2']")
+    tried = Trial("first~2"), Trial("second", named, start={"run": "dressing/first"})
+    *_, second = moved(tmp_path / "journal.jsonl", told, *tried)
+    assert isinstance(second, Trial)
+    assert second.overrides == (
+        *words, "start.run='there/first'", "y=['there/first/ends','there/first~2']",
+    )  # fmt: skip
+    assert second.start == {"run": "there/first"}
+
+
+def test_a_folder_within_another_moves_as_a_whole(tmp_path: Path) -> None:
+    told = Report("a", "ok", run="/old/a"), Report("b", "ok", run="/old/a/b")
+    *_, asked = moved(tmp_path / "journal.jsonl", *told, Trial("c", ("x=/old/a/b/ends",)))
+    assert asked == Trial("c", ("x=there/b/ends",))
+
+
+def test_a_journal_that_has_not_moved_is_not_written(tmp_path: Path) -> None:
+    measures = {"f": math.nan}
+    events = Report("a", "ok", math.nan, measures, run="there/a"), Report("b", "failed"), ASKED
+    assert moved(tmp_path / "journal.jsonl", *events) == [*events]
+    assert not (tmp_path / "journal.jsonl").exists()
+
+
+@pytest.mark.parametrize("run", ["/etc/passwd", "../../victim", "/old/..", "there/../victim", "a"])
+def test_no_run_is_outside_its_sweep_whatever_a_journal_says(run: str, tmp_path: Path) -> None:
+    for key, name in (("a", "a"), ("..", "%2E%2E"), ("/etc", "%2Fetc")):
+        (told,) = moved(tmp_path / "journal.jsonl", Report(key, "ok", run=run))
+        assert told == Report(key, "ok", run=f"there/{name}")
+
+
 STRANGE = ["x" * 300, "\ud800", "", 3, ["a"], None]
 
 

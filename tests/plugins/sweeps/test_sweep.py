@@ -581,6 +581,57 @@ def test_a_sweep_whose_folder_was_moved_goes_on(tmp_path: Path) -> None:
     assert not (tmp_path / "here").exists()
 
 
+def test_a_stage_of_a_strangers_journal_begins_within_the_folder(tmp_path: Path) -> None:
+    """Though it says that the stage before it ran elsewhere, in the user's own runs."""
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    stages = "outer_loop.stages={first: [], second: [\"start.run='{first}'\"]}"
+
+    def chain(folder: Path) -> None:
+        module.sweep([*base, "outer_loop=chain", stages, f"run.dir={folder}"])
+
+    chain(tmp_path / "theirs")
+    shutil.copytree(tmp_path / "theirs" / "first", tmp_path / "mine")
+    shutil.rmtree(tmp_path / "theirs" / "second")
+    journal = tmp_path / "theirs" / "journal.jsonl"
+    kept = [line for line in journal.read_text().splitlines() if '"second"' not in line]
+    journal.write_text("\n".join(kept).replace("theirs/first", "mine") + "\n")
+    assert str(tmp_path / "mine") in journal.read_text()
+    chain(tmp_path / "theirs")
+    begun = json.loads((tmp_path / "theirs" / "second" / "run.json").read_text())
+    assert begun["config"]["start"]["run"] == str(tmp_path / "theirs" / "first")
+    assert str(tmp_path / "mine") not in journal.read_text()
+
+
+def test_a_stage_that_was_under_way_when_the_folder_moved_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    stages = "outer_loop.stages={first: [], second: [\"start.run='{first}'\"]}"
+
+    def chain(folder: Path) -> None:
+        module.sweep([*base, "outer_loop=chain", stages, f"run.dir={folder}"])
+
+    chain(tmp_path / "whole")
+    save = Training.save
+
+    def killed(training: Training) -> Path:
+        path = save(training)
+        if training.run is not None and training.run.path.name == "second":
+            raise Killed
+        return path
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "save", killed)
+        with pytest.raises(Killed):
+            chain(tmp_path / "here")
+    assert (tmp_path / "here/second/run.json").is_file()
+    shutil.move(tmp_path / "here", tmp_path / "there")
+    chain(tmp_path / "there")
+    assert events(tmp_path / "there") == events(tmp_path / "whole")
+    assert iterations(tmp_path / "there", "second") == iterations(tmp_path / "whole", "second")
+    assert not (tmp_path / "here").exists()
+
+
 def test_a_policy_that_is_gone_is_learned_again(
     tmp_path: Path, scripted: Any, monkeypatch: Any
 ) -> None:

@@ -170,3 +170,22 @@ def test_wrapped_is_the_same_angle_within_half_a_turn() -> None:
     assert ((found >= -math.pi) & (found < math.pi)).all()
     torch.testing.assert_close(found.cos(), angle.cos())
     torch.testing.assert_close(found.sin(), angle.sin())
+
+
+def test_gradients_where_constants_were_made_without() -> None:
+    """As where somebody played before, in this process, in inference mode."""
+    cached = [one for one in vars(rot).values() if hasattr(one, "cache_clear")]
+    q = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+
+    def turned(of: Tensor) -> Tensor:
+        both = rot.multiply(rot.conjugate(of), of)
+        heading, normal = rot.heading(both), rot.tangent_normal(of)
+        return rot.to_matrix(both).sum() + heading.sum() + normal.sum()
+
+    for one in cached:
+        one.cache_clear()
+    with torch.inference_mode():
+        turned(q)
+    assert all(one.cache_info().currsize for one in cached)
+    turned(q.requires_grad_()).backward()
+    assert q.grad is not None

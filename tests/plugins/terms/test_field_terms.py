@@ -32,6 +32,11 @@ def test_steady_is_one_where_nothing_changes_and_falls_with_the_mean_square() ->
     assert steady(NUMBER, NUMBER - 0.5, scale=4.0).tolist() == pytest.approx([math.exp(-1.0)] * 2)
 
 
+def test_steady_takes_a_field_however_it_lies_in_memory() -> None:
+    field = torch.arange(12.0).view(3, 2, 2).permute(1, 0, 2)
+    assert steady(field, field, scale=3.0).tolist() == [1.0, 1.0]
+
+
 def test_thresholds() -> None:
     assert reached(NUMBER, within=1.0).tolist() == [True, False]
     assert reached(VECTOR, within=2.0).tolist() == [True, False]

@@ -35,7 +35,7 @@ _LAST = 1e-4
 #: Tables by what they are computed of, and how far the root was raised: training, evaluation and each skill that one
 #: controls ask for the same ones.
 _tables: dict[bytes, tuple[dict[str, Tensor], float]] = {}
-_MOST = 32  #: of them are kept, of some 1 MB each
+_MOST = 1 << 28  #: bytes of them that are kept
 
 
 def difference_qvel(layout: Layout, nv: int, before: Tensor, after: Tensor, dt: float) -> Tensor:
@@ -112,7 +112,8 @@ class ReferenceMotion:
         key = found.digest()
         if key not in _tables:
             fields = self._tabulate(character, layout, times, floor)
-            if len(_tables) >= _MOST:
+            kept = sum(v.nbytes for known, _ in _tables.values() for v in known.values())
+            if kept + sum(v.nbytes for v in fields.values()) > _MOST:
                 _tables.clear()
             _tables[key] = fields, self.height_offset
         fields, self.height_offset = _tables[key]

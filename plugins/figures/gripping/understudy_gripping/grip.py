@@ -110,6 +110,13 @@ class Grip:
                 f"{scene.measures.fingers} --finger-length {scene.measures.finger_length:g} --size "
                 f"{scene.measures.size:g}, then grip.file=FILE."
             )
+        model = scene.model
+        hand = tuple(model.joint(j).name for j in range(len(ARM_POSE), scene.hinges))
+        if len(hand) != len(self.hinges) or (not self.robot and hand != self.hinges):
+            raise ConfigError(
+                f"The grip {written(self.style)} names other hinges than the scene's hand has. Find it anew: "
+                "understudy grip STYLE FILE."
+            )
 
     def held(self, scene: HandScene, row: int, seconds: float, settle: float = 0.5) -> Held:
         """The grip at its angle number `row`, simulated under its targets."""

@@ -44,7 +44,7 @@ def steady(
 ) -> Tensor:
     """exp(-scale m), (N,), m the mean square over the field's numbers by which it differs from ``before``, such as its
     own ``previous_``: near 1 where it changes little in a decision."""
-    return torch.exp(-scale * (value - before).square().view(len(value), -1).mean(dim=1))
+    return torch.exp(-scale * (value - before).square().reshape(len(value), -1).mean(dim=1))
 
 
 def reached(

@@ -34,13 +34,14 @@ def best_of_styles(loop: OuterLoop, journal: Journal) -> Iterator[dict[str, Any]
 
 
 def grip_file(folder: Path, row: Mapping[str, Any]) -> Path | None:
-    """The grip of a style's best trial, which its run in the sweep's `folder` keeps."""
+    """The grip of a style's best trial, which its run in the sweep's `folder` keeps; of a job that was asked for once
+    more the later one."""
     style, _, number = str(row["trial"]).rpartition("-")
     names = (
         f"round{number}-*/inputs/*/s{style}.json",
         f"{row['trial']}/inputs/*/grip.json",
     )
-    return next((path for name in names for path in sorted(folder.glob(name))), None)
+    return next((path for name in names for path in sorted(folder.glob(name), reverse=True)), None)
 
 
 def _of(style: str, trials: Sequence[Mapping[str, Any]], journal: Journal) -> dict[str, Any]:

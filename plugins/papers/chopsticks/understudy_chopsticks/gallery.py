@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,6 @@ from understudy.errors import UnderstudyError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
 from understudy_chopsticks.found import best_of_styles, grip_file
-from understudy_chopsticks.search import GripSearch
 from understudy_gripping.grip import Grip, load_grip
 from understudy_gripping.hold import hold, placed
 from understudy_hand.scene import HandScene
@@ -56,7 +56,8 @@ class Gallery(SweepPage):
         self, folder: Path, title: str, experiment: Experiment, journal: Journal
     ) -> Path | None:
         chosen = experiment.one("outer_loop")
-        if chosen is None or not isinstance(chosen.options, GripSearch.Options):
+        # By name: its class needs the libraries of searches, and every sweep asks here.
+        if chosen is None or chosen.component.name != "chopsticks/grips":
             return None
         rows = list(best_of_styles(chosen.build(experiment.root.seed), journal))
         cards = "".join(_card(row, folder) for row in rows)
@@ -82,9 +83,10 @@ def close_ups(grip: Grip) -> list[np.ndarray]:
     Raises
     ------
     UnderstudyError
-        there is no OpenGL to draw with.
+        it is no grip of a human hand, or there is no OpenGL to draw with.
     """
-    scene = HandScene(HandScene.Options(grip.measures.fingers, tool=grip.tool))
+    scene = HandScene(HandScene.Options(**asdict(grip.measures), tool=grip.tool))
+    grip.need(scene)
     data = placed(scene, np.array(ARM_POSE), grip.poses[0], grip.upper[0], grip.lower)
     hold(scene, data, np.array([*ARM_POSE, *grip.targets[0]]), 1.0)
     arrows = _forces(scene, data)

@@ -95,7 +95,7 @@ class GripSearch(OuterLoop):
         return dataclasses.replace(_of(style, trial, "grip."), key=f"{style}-{turn}")
 
     def recall(self, trial: Trial) -> bool:
-        wanted = []
+        wanted, expected = [], list[str]()
         for style, key in self._own(trial.key).items():
             if style not in self._searches:
                 raise ConfigError(
@@ -103,18 +103,27 @@ class GripSearch(OuterLoop):
                 )
             search = self._searches[style]
             front = _SHARED.replace(CANDIDATE, _NAME + style) if self._shared else "grip."
+            expected += _of(style, Trial(key), front).overrides
+            expected += [_MEASURE.replace(CANDIDATE, _NAME + style)] if self._shared else []
             point = {
                 "grip." + path.removeprefix(front): value
                 for path, value in trial.point.items()
                 if path.startswith(front)
             }
             wanted.append(search.recall(Trial(key, point=point)))
+        if trial.overrides != tuple(expected):  # a journal may be a stranger's
+            raise ConfigError(
+                f"Trial '{trial.key}' had other overrides when this search began: {', '.join(trial.overrides)}. Give "
+                "run.dir another folder."
+            )
         if self._shared:
             self._asked[trial.key] = trial
         return all(wanted)
 
     def tell(self, report: Report) -> Literal["stop"] | None:
         own = {s: key for s, key in self._own(report.key).items() if s in self._searches}
+        if self._shared and report.key not in self._asked:
+            return None  # of what nobody asked for, as where a journal is damaged
         if self._shared and report.final and _is_void(report):
             self._void.append(report.key)
             return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ from understudy_diversity.strategies import (
 )
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import OuterLoop, Report, Trial
+from understudy_sweeps.trial import folder_of
 
 
 class NovelPolicies(OuterLoop):
@@ -141,10 +142,12 @@ class NovelPolicies(OuterLoop):
 
 
 def known_strategies(folder: str, options: NovelPolicies.Options) -> list[Strategy]:
-    """The finished trials of the search in `folder`."""
+    """The finished trials of the search in `folder`; their runs are in it, wherever they were made."""
     path = Path(folder) / "journal.jsonl"
     if not path.is_file():
         raise ConfigError(
             f"outer_loop.search={folder} is no folder of a search (understudy sweep)."
         )
-    return kinds(finished_trials(Journal.read(path)), options)
+    found = finished_trials(Journal.read(path))
+    here = [(t, replace(report, run=str(folder_of(t.key, folder)))) for t, report in found]
+    return kinds(here, options)

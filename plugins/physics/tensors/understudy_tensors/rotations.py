@@ -182,7 +182,9 @@ def _circle(angle: Tensor) -> Tensor:
     return torch.stack((angle.cos(), angle.sin()), dim=-1)
 
 
+# Constants are made once, none of them in inference mode: it would be of no use where gradients are asked for.
 @lru_cache
+@torch.inference_mode(False)
 def _axes(
     rows: tuple[int, ...] | tuple[tuple[int, ...], ...], dtype: torch.dtype, device: torch.device
 ) -> Tensor:
@@ -246,6 +248,7 @@ def _table(
 
 
 @lru_cache
+@torch.inference_mode(False)
 def _hamilton(dtype: torch.dtype, device: torch.device) -> Tensor:
     """(16, 4): the product's components are linear in the products of components."""
     w, x, y, z = range(4)
@@ -259,12 +262,14 @@ def _hamilton(dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 @lru_cache
+@torch.inference_mode(False)
 def _heading_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
     """(16, 2): y and x of the rotated x axis."""
     return _matrix_of_products(dtype, device)[:, [3, 0]].contiguous()
 
 
 @lru_cache
+@torch.inference_mode(False)
 def _matrix_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
     """(16, 9): the row-major rotation matrix is linear in the products of components."""
     w, x, y, z = range(4)
@@ -283,6 +288,7 @@ def _matrix_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 @lru_cache
+@torch.inference_mode(False)
 def _tangent_normal_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
     """(16, 6): columns 0 and 2 of the matrix."""
     return _matrix_of_products(dtype, device)[:, [0, 3, 6, 2, 5, 8]].contiguous()

@@ -22,6 +22,7 @@ from understudy.folders import read
 from understudy.records.checkpoint import sync, write_atomically
 from understudy.setup.composition import refuse_resolvers
 from understudy_sweeps.loops import Report, Trial
+from understudy_sweeps.trial import folder_of
 
 __all__ = ["Journal"]
 
@@ -83,35 +84,43 @@ class Journal:
         return {e.key: e for e in self.events if isinstance(e, Report) and e.final}
 
     def move(self, folder: str) -> None:
-        """Take `folder` as that of the sweep, to which its runs may have been copied from elsewhere: of all paths that it
-        knows, those that were in the folder before are in this one, in the file as well."""
-        before = {str(Path(report.run).parent) for report in self._reports} - {folder, "."}
-        if not before:
-            return
-        inside = re.compile(rf"(?<![\w./~-])({'|'.join(map(re.escape, sorted(before)))})(?=/)")
+        """Take `folder` as that of the sweep, to which its runs may have been copied from elsewhere: every trial's run is
+        in it, whatever the journal says, and what trials were asked to take from a run in the folder before they take
+        from this one; in the file as well."""
+        runs = {event.key: folder_of(event.key, folder) for event in self.events}
+        before = {
+            str(Path(event.run).parent)
+            for event in self.events
+            if isinstance(event, Report) and Path(event.run).name == runs[event.key].name
+        } - {folder, "."}
+        # Only where a trial's run follows: a folder may be called as a group of options is (experiment=dressing/shirt).
+        old, names = (
+            "|".join(map(re.escape, sorted(found, key=len, reverse=True)))
+            for found in (before, {run.name for run in runs.values()})
+        )
+        inside = re.compile(rf"(?<![\w./~-])(?:{old})(?=/(?:{names})(?![\w.~%-]))")
 
         def here(found: Any) -> Any:
             if isinstance(found, str):
-                return inside.sub(lambda _: folder, found)
+                return inside.sub(lambda _: folder, found) if before else found
             if isinstance(found, Mapping):
                 return {key: here(value) for key, value in found.items()}
             return tuple(map(here, found)) if isinstance(found, tuple) else found
 
-        named = ("run",), ("overrides", "start", "initial_states")
-        self.events = [
-            dataclasses.replace(
+        def moved(event: Trial | Report) -> Trial | Report:
+            if isinstance(event, Report):
+                run = str(runs[event.key]) if event.run else ""
+                return dataclasses.replace(event, run=run)
+            return dataclasses.replace(
                 event,
-                **{name: here(getattr(event, name)) for name in named[isinstance(event, Trial)]},
+                overrides=here(event.overrides),
+                start=here(event.start),
+                initial_states=here(event.initial_states),
             )
-            for event in self.events
-        ]
-        write_atomically(self.path, "".join(map(_row, self.events)).encode())
 
-    @property
-    def _reports(self) -> list[Report]:
-        """Those of runs that are in the sweep's folder, by their trial's name."""
-        found = [event for event in self.events if isinstance(event, Report)]
-        return [e for e in found if e.run and Path(e.run).name == quote(e.key, safe="")]
+        if (events := [*map(moved, self.events)]) != self.events:
+            self.events = events
+            write_atomically(self.path, "".join(map(_row, events)).encode())
 
     def ask(self, trial: Trial) -> None:
         if any(trial.key == other.key for other in self.asked):

@@ -24,6 +24,7 @@ from understudy.running.jobs import Judgement
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy_reinforcement.job import Reinforcement
+from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
 
 __all__ = ["folder_of", "run_trial", "written"]
@@ -181,7 +182,7 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
     if (path / "run.json").exists():
         run = runs.open_run(path)
         run.lock()
-        experiment = run.experiment()
+        experiment = run.experiment(config=_config_here(run))
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
         return training
@@ -191,6 +192,19 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
     if trial.fidelity is not None:
         _check_difficulty(training)
     return training.attach(runs.create(experiment, overrides, training.job.sources()))
+
+
+def _config_here(run: Run) -> Mapping[str, Any]:
+    """Its configuration; the run that it begins with is beside it where it was so before their folder was copied."""
+    start, made = mapping(run.config.get("start")), mapping(run.config.get("run")).get("dir")
+    begun = start.get("run")
+    if not isinstance(begun, str) or not isinstance(made, str):
+        return run.config
+    before = Path(made).parent
+    if not before.parts or not Path(begun).is_relative_to(before):
+        return run.config
+    here = run.path.parent / Path(begun).relative_to(before)
+    return {**run.config, "start": {**start, "run": str(here)}}
 
 
 def _check_difficulty(training: Training) -> None:
