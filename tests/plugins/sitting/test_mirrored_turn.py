@@ -1,8 +1,7 @@
-"""The left turn that ships is the right one's mirror image, and turns at half its time step, too, if less far."""
+"""The left turn that ships is the right one's mirror image, and lags at half its time step."""
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 
@@ -31,10 +30,14 @@ def test_it_is_the_right_ones_mirror_image() -> None:
         torch.testing.assert_close(value, right.policy[name], rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("substeps", [4, 8])
-def test_it_turns_at_half_the_time_step_too(substeps: int) -> None:
-    """By 72°, and at half the time step by 48°, in two seconds, in which its clip turns by 63°; the one that was learned by
-    itself turned by 65° and 25°."""
+_LAGS = "at half its time step it turns by 48 degrees: it stays up and on course, and lags 2 degrees more than may be"
+
+
+@pytest.mark.parametrize(
+    "substeps", [4, pytest.param(8, marks=pytest.mark.xfail(reason=_LAGS, strict=True))]
+)
+def test_it_turns_as_far_at_half_the_time_step(substeps: int) -> None:
+    """Its clip turns by 63° in two seconds, this by 72°; the one that was learned by itself by 65° and 25°."""
     words = [
         "device=cpu",
         "num_worlds=1",
@@ -51,4 +54,4 @@ def test_it_turns_at_half_the_time_step_too(substeps: int) -> None:
             seen = built.environment.step(policy.distribution(seen).mode()).observations
     yaw = float(pitch_yaw_roll(built.environment.table["qpos"][:, 3:7])[0, 1])
     built.environment.close()
-    assert abs(yaw - math.radians(63)) < math.radians(20)
+    assert 0.87 < yaw < 1.4
