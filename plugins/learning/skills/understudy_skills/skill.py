@@ -29,10 +29,11 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
 from understudy_reinforcement.policy import Policy, build_policy
 
-__all__ = ["Skill", "names", "open_skill", "pack", "refuse_of_others", "rounded", "unpack"]
+__all__ = ["BITS", "Skill", "names", "open_skill", "pack", "refuse_of_others", "rounded", "unpack"]
 
-#: Of each row of a matrix: the largest weight.
-_STEPS = 127
+#: That a packed weight may have. With 32 nothing is rounded.
+BITS = (8, 16, 32)
+_INTEGERS = {8: torch.int8, 16: torch.int16}
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 #: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
@@ -235,11 +236,11 @@ def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
             yield from _words_in(part, f"{key}.{name}".lstrip("."))
 
 
-def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
+def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:
     """Write the actor of `skill` as ``PATH.safetensors`` and its card as ``PATH.json``.
 
-    Matrices become eight bits a weight with a scale for each row, the rest half or full precision.
-    `evaluation` is what was found of it.
+    Matrices become 8 or 16 `bits` a weight with a scale for each row; with 32 they stay as they are, as all else
+    does. `evaluation` is what was found of it.
     """
     kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
     card = {**skill.card, "evaluation": dict(evaluation)}
@@ -252,7 +253,7 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     checkpoint.save(
         path,
-        {"policy": {k: _packed_tensor(v) for k, v in kept.items()}},
+        {"policy": {k: _packed_tensor(v, bits) for k, v in kept.items()}},
         {**card, "config": config},
     )
 
@@ -337,17 +338,19 @@ def copy_run(source: str, folder: Path) -> None:
             (folder / "inputs" / name).write_bytes((inputs.folder / name).read_bytes())
 
 
-def rounded(skill: Skill) -> Skill:
-    """`skill` as it is once packed, so that what is judged is what is shipped."""
-    tensors = {k: _unpacked(_packed_tensor(v)) for k, v in skill.policy.items()}
+def rounded(skill: Skill, bits: int = 8) -> Skill:
+    """`skill` as it is once packed with so many `bits` a weight, so that what is judged is what is shipped."""
+    tensors = {k: _unpacked(_packed_tensor(v, bits)) for k, v in skill.policy.items()}
     return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)
 
 
-def _packed_tensor(value: Tensor) -> Tensor | dict[str, Tensor]:
-    if value.ndim != 2:
+def _packed_tensor(value: Tensor, bits: int) -> Tensor | dict[str, Tensor]:
+    if value.ndim != 2 or bits == max(BITS):
         return value
-    scale = value.abs().amax(dim=1).clamp(min=1e-12) / _STEPS
-    return {"rows": (value / scale[:, None]).round().to(torch.int8), "scale": scale}
+    integer = _INTEGERS[bits]
+    # of each row the largest weight is the largest integer
+    scale = value.abs().amax(dim=1).clamp(min=1e-12) / torch.iinfo(integer).max
+    return {"rows": (value / scale[:, None]).round().to(integer), "scale": scale}
 
 
 def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:

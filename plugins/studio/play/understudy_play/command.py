@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from understudy.command.command import Command
-from understudy.errors import ConfigError, shown
-from understudy.running.training import Training
+from understudy.command.command import Command, tell
+from understudy.errors import ConfigError, UnderstudyError, shown
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_credits.walk import answer, open_made
@@ -20,7 +21,9 @@ from understudy_motion.arguments import port, positive
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
+from understudy_skills.rounding import enough_bits, judged
 from understudy_skills.skill import (
+    BITS,
     Skill,
     names,
     open_skill,
@@ -36,6 +39,8 @@ __all__ = ["add_page_arguments", "film", "record", "serve"]
 _EVERY = 3.0
 #: Of a video, in pixels.
 _WIDTH, _HEIGHT = 800, 450
+#: Overrides that say where episodes begin.
+_STARTS = re.compile(r"[+~]*initial_states\b")
 
 
 class Play(Command):
@@ -64,8 +69,15 @@ class Play(Command):
             help="push the character sideways every 3 s, in newton seconds (video only)",
         )  # fmt: skip
         parser.add_argument(
-            "--pack", metavar="FILE", type=Path, help="evaluate, and write it small"
+            "--pack",
+            metavar="FILE",
+            type=Path,
+            help="compare it rounded with itself, and write it small",
         )
+        parser.add_argument(
+            "--bits", type=int, choices=BITS,
+            help="of a packed weight, whatever they cost (8, or the next of these that loses nothing by it)",
+        )  # fmt: skip
         parser.add_argument(
             "--unpack", metavar="FOLDER", type=Path,
             help="write it as a run folder, for actuation.runs, start.run and job.run of other trainings",
@@ -78,7 +90,9 @@ class Play(Command):
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.video
-        yield _packed_file(options.pack) if options.pack is not None else None
+        if options.pack is not None:
+            file = _packed_file(options.pack)
+            yield from (file, file.with_suffix(".safetensors"))
 
     def run(self, options: argparse.Namespace) -> int:
         if options.skill is None:
@@ -90,6 +104,8 @@ class Play(Command):
             return 0
         if options.follow and (options.video or options.pack or options.unpack):
             raise ConfigError("--follow shows a page. Leave out --video, --pack and --unpack.")
+        if options.bits is not None and options.pack is None:
+            raise ConfigError("--bits is of a packed weight. Add --pack FILE, or leave it out.")
         if options.follow and not (Path(options.skill) / "run.json").is_file():
             raise ConfigError(
                 f"--follow takes the folder of a run, as runs/spacetime-walk-001, and {options.skill} is none."
@@ -99,7 +115,7 @@ class Play(Command):
             refuse_of_others(skill)
             licence = answer(open_made(options.skill))
             skill = replace(skill, card={**skill.card, "licence": licence})
-            return _pack(skill, options.pack)
+            return _pack(skill, options)
         if options.unpack is not None:
             unpack(skill, options.unpack)
             print(f"run: {options.unpack}")
@@ -165,28 +181,42 @@ def describe(skill: Skill) -> str:
 
 
 def _packed_file(path: Path) -> Path:
-    if not path.name:
+    name = path.name.removesuffix(".json").removesuffix(".safetensors")
+    if not name:
         raise ConfigError(f"--pack {path} names no file. Give one: FILE.json.")
-    return path.with_name(f"{path.name.removesuffix('.json')}.json")
+    return path.with_name(f"{name}.json")
 
 
-def _pack(skill: Skill, path: Path) -> int:
+def _pack(skill: Skill, options: argparse.Namespace) -> int:
     """What is judged is what is written: the rounded weights."""
-    small, file = rounded(skill), _packed_file(path)
+    file = _packed_file(options.pack)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--pack {path} cannot be written there: {error.strerror}.") from error
-    training = Training(small.experiment)
-    try:
-        progress = {**training.progress.state_dict(), "samples": small.samples}
-        training.load_learned({"policy": small.whole(), "progress": progress})
-        evaluation, _ = training.judge()
-    finally:
-        training.close()
-    pack(skill, file, evaluation.as_json(skill.samples))
+        raise ConfigError(
+            f"--pack {options.pack} cannot be written there: {error.strerror}."
+        ) from error
+    experiment = _with_own_starts(options) or skill.experiment
+    rounding = enough_bits(skill, experiment, options.bits, lambda line: print(shown(line)))
+    found = rounding.evaluation
+    if experiment is not skill.experiment:  # easier starts, it may be: the card says what of
+        found = judged(rounded(skill, rounding.bits), skill.experiment)
+    skill = replace(skill, card={**skill.card, "weights": rounding.as_json()})
+    pack(skill, file, found.as_json(skill.samples), rounding.bits)
     print(shown(f"{file}: {describe(open_skill(str(file)))}"))
     return 0
+
+
+def _with_own_starts(options: argparse.Namespace) -> Experiment | None:
+    """The skill's task with the starts of its own where the pack has others; None where they are the same, or gone."""
+    rest = [word for word in options.overrides if not _STARTS.match(word)]
+    if rest == options.overrides:
+        return None
+    try:
+        return open_skill(options.skill, rest).experiment
+    except UnderstudyError as error:
+        tell(f"It is compared from the pack's starts, since its own are not there: {error}")
+        return None
 
 
 def _film(skill: Skill, options: argparse.Namespace) -> int:
