@@ -736,8 +736,8 @@ MUTANTS = (
     Mutant(
         "a pack is compared from its run's own starts",
         "plugins/studio/play/understudy_play/command.py",
-        "experiment = _with_own_starts(options) or skill.experiment",
-        "experiment = skill.experiment",
+        "    rounding = _from_own_starts(skill, options)\n",
+        "    rounding = None\n",
         "tests/plugins/skills/test_rounding.py -k easier_starts",
     ),
     Mutant(

@@ -120,6 +120,21 @@ def test_easier_starts_of_the_pack_hide_nothing(untrained: Path, tmp_path: Path)
     assert packed(run, tmp_path / "more.json", NEAR)["kept"] == torch.int16
 
 
+def test_starts_that_do_not_go_with_the_rest_are_said(
+    built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A pack is made, of what can be compared."""
+    run, bank = tmp_path / "run", built_on / "bank"
+    begins = ("initial_states=bank", f"initial_states.file={bank}", *miniatures.QUICK)
+    words = ("experiment=miniature/sleeve", *begins, "budget.samples=512", "run.video_seconds=0")
+    miniatures.train(*words, f"run.dir={run}")
+    shutil.rmtree(run / "inputs")
+    capsys.readouterr()
+    card = packed(run, tmp_path / "small.json", "initial_states={name: miniature/somewhere}")
+    assert "from the pack's starts, since from its own it cannot be: " in capsys.readouterr().err
+    assert card["weights"]["compared"]["starts"] == 32
+
+
 def test_without_a_success_the_objective_is_compared(untrained: Path, tmp_path: Path) -> None:
     run = with_a_weight_of(300.0, untrained, tmp_path / "run")
     card = packed(run, tmp_path / "small.json", "evaluation.success=null", "--bits", "8")

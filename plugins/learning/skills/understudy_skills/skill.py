@@ -29,7 +29,17 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
 from understudy_reinforcement.policy import Policy, build_policy
 
-__all__ = ["BITS", "Skill", "names", "open_skill", "pack", "refuse_of_others", "rounded", "unpack"]
+__all__ = [
+    "BITS",
+    "Skill",
+    "names",
+    "open_skill",
+    "pack",
+    "refuse_of_others",
+    "rounded",
+    "unpack",
+    "with_own_starts",
+]
 
 #: That a packed weight may have. With 32 nothing is rounded.
 BITS = (8, 16, 32)
@@ -234,6 +244,44 @@ def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
         inner = value.items() if isinstance(value, Mapping) else enumerate(value)
         for name, part in inner:
             yield from _words_in(part, f"{key}.{name}".lstrip("."))
+
+
+def with_own_starts(
+    skill: Skill, source: str, *, registry: Registry | None = None
+) -> Experiment | None:
+    """The task of `skill`, which is `source` under overrides, begun where `source` begins without them; None where these
+    are the same starts.
+
+    Raises
+    ------
+    UnderstudyError
+        if its own starts are not here any more.
+    """
+    registry, path = registry or installed().registry, Path(source)
+    if path.is_dir():
+        run = runs.open_run(path)
+        own = run.config
+        experiment = run.experiment(registry, _begun_as(own, skill))
+    else:
+        if source in registry.names("skill"):
+            path = registry.find("skill", source).factory()
+        own = checkpoint.load(path)[1]["config"]
+        experiment = validate(_begun_as(own, skill), registry)
+    return None if _starts(experiment) == _starts(skill.experiment) else experiment
+
+
+def _begun_as(own: Mapping[str, Any], skill: Skill) -> dict[str, Any]:
+    """The configuration of `skill`, with `own` starts."""
+    config = dict(skill.card["config"])
+    evaluation = {k: v for k, v in (config.get("evaluation") or {}).items() if k != "starts"}
+    if starts := (own.get("evaluation") or {}).get("starts"):
+        evaluation["starts"] = starts
+    return {**config, "initial_states": own.get("initial_states"), "evaluation": evaluation}
+
+
+def _starts(experiment: Experiment) -> list[Any]:
+    config = experiment.effective()
+    return [config.get("initial_states"), (config.get("evaluation") or {}).get("starts")]
 
 
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:

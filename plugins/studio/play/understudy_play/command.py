@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 
 from understudy.command.command import Command, tell
 from understudy.errors import ConfigError, UnderstudyError, shown
-from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_credits.walk import answer, open_made
@@ -21,7 +19,7 @@ from understudy_motion.arguments import port, positive
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
-from understudy_skills.rounding import enough_bits, judged
+from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
     BITS,
     Skill,
@@ -31,6 +29,7 @@ from understudy_skills.skill import (
     refuse_of_others,
     rounded,
     unpack,
+    with_own_starts,
 )
 
 __all__ = ["add_page_arguments", "film", "record", "serve"]
@@ -39,8 +38,6 @@ __all__ = ["add_page_arguments", "film", "record", "serve"]
 _EVERY = 3.0
 #: Of a video, in pixels.
 _WIDTH, _HEIGHT = 800, 450
-#: Overrides that say where episodes begin.
-_STARTS = re.compile(r"[+~]*initial_states\b")
 
 
 class Play(Command):
@@ -196,10 +193,11 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--pack {options.pack} cannot be written there: {error.strerror}."
         ) from error
-    experiment = _with_own_starts(options) or skill.experiment
-    rounding = enough_bits(skill, experiment, options.bits, lambda line: print(shown(line)))
-    found = rounding.evaluation
-    if experiment is not skill.experiment:  # easier starts, it may be: the card says what of
+    rounding = _from_own_starts(skill, options)
+    if rounding is None:
+        rounding = enough_bits(skill, skill.experiment, options.bits, _say)
+        found = rounding.evaluation
+    else:  # the pack's starts may be easier: its card tells of these
         found = judged(rounded(skill, rounding.bits), skill.experiment)
     skill = replace(skill, card={**skill.card, "weights": rounding.as_json()})
     pack(skill, file, found.as_json(skill.samples), rounding.bits)
@@ -207,16 +205,19 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
     return 0
 
 
-def _with_own_starts(options: argparse.Namespace) -> Experiment | None:
-    """The skill's task with the starts of its own where the pack has others; None where they are the same, or gone."""
-    rest = [word for word in options.overrides if not _STARTS.match(word)]
-    if rest == options.overrides:
-        return None
+def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | None:
+    """What rounding costs from the starts that were the skill's own before overrides gave it others; None where none
+    did, or its own are gone or do not go with the rest."""
     try:
-        return open_skill(options.skill, rest).experiment
+        experiment = with_own_starts(skill, options.skill)
+        return experiment and enough_bits(skill, experiment, options.bits, _say)
     except UnderstudyError as error:
-        tell(f"It is compared from the pack's starts, since its own are not there: {error}")
+        tell(f"It is compared from the pack's starts, since from its own it cannot be: {error}")
         return None
+
+
+def _say(line: str) -> None:
+    print(shown(line))
 
 
 def _film(skill: Skill, options: argparse.Namespace) -> int:
