@@ -159,6 +159,9 @@ def test_nothing_is_overwritten(
     words = ["--pack", str(mine), "--overwrite", "--bits", "32"]
     assert main(["play", str(untrained), *words]) == 0
     assert json.loads((tmp_path / "small.json").read_text())["digest"]
+    (tmp_path / "small.json").unlink()  # as if it was killed before the card was written
+    assert main(["play", str(untrained), "--pack", str(mine), "--bits", "32"]) == 0
+    assert (tmp_path / "small.json").is_file()
 
 
 @pytest.mark.parametrize("words", [["--bits", "8"], ["--bits", "4", "--pack", "x"]])

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
@@ -32,6 +33,7 @@ from understudy_reinforcement.policy import Policy, build_policy
 __all__ = [
     "BITS",
     "Skill",
+    "is_left_over",
     "names",
     "open_skill",
     "pack",
@@ -304,6 +306,17 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
         {"policy": {k: _packed_tensor(v, bits) for k, v in kept.items()}},
         {**card, "config": config},
     )
+
+
+def is_left_over(file: Path) -> bool:
+    """Whether `file` has the tensors of a pack that was killed before it had a card: nothing without it."""
+    if file.with_suffix(".json").exists():
+        return False
+    try:
+        with safe_open(file, "pt") as tensors:
+            return all(name.startswith("policy/") for name in tensors.keys())  # noqa: SIM118 - no mapping
+    except (OSError, SafetensorError):
+        return False
 
 
 def unpack(skill: Skill, path: Path) -> None:

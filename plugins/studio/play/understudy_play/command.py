@@ -23,6 +23,7 @@ from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
     BITS,
     Skill,
+    is_left_over,
     names,
     open_skill,
     pack,
@@ -89,7 +90,8 @@ class Play(Command):
         yield options.video
         if options.pack is not None:
             file = _packed_file(options.pack)
-            yield from (file, file.with_suffix(".safetensors"))
+            tensors = file.with_suffix(".safetensors")
+            yield from (file, None if is_left_over(tensors) else tensors)
 
     def run(self, options: argparse.Namespace) -> int:
         if options.skill is None:
