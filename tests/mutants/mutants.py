@@ -726,4 +726,32 @@ MUTANTS = (
         "hashlib.sha256()",
         "tests/plugins/characters/test_reference.py -k tabulated",
     ),
+    Mutant(
+        "a pack loses no success",
+        "plugins/learning/skills/understudy_skills/rounding.py",
+        "if not rounding.falls or not tries:",
+        "if True:",
+        "tests/plugins/skills/test_rounding.py -k as_many_bits",
+    ),
+    Mutant(
+        "a pack is compared from its run's own starts",
+        "plugins/studio/play/understudy_play/command.py",
+        "    rounding = _from_own_starts(skill, options)\n",
+        "    rounding = None\n",
+        "tests/plugins/skills/test_rounding.py -k easier_starts",
+    ),
+    Mutant(
+        "a start that is drawn again tells nothing new of two policies",
+        "plugins/learning/reinforcement/understudy_reinforcement/paired.py",
+        "by_start.setdefault(start, (a, b))",
+        "by_start.setdefault(str(len(by_start)).encode(), (a, b))",
+        "tests/plugins/reinforcement/test_paired.py -k counts_once",
+    ),
+    Mutant(
+        "a pack's tensors overwrite nothing",
+        "plugins/studio/play/understudy_play/command.py",
+        "yield from (file, None if is_left_over(tensors) else tensors)",
+        "yield file",
+        "tests/plugins/skills/test_rounding.py -k overwritten",
+    ),
 )  # fmt: skip

@@ -74,6 +74,28 @@ def test_it_acts_as_the_policy_does_where_the_policy_gets_to(exported: Path, wal
     assert float(wanted.abs().max()) > 0.1
 
 
+def test_its_weights_are_those_of_the_policy_bit_for_bit(exported: Path, walk: Skill) -> None:
+    """Nothing is rounded: what a pack loses a model does not."""
+    import onnx
+    from onnx import numpy_helper
+
+    held = [
+        turned
+        for tensor in onnx.load(str(exported)).graph.initializer
+        for array in [numpy_helper.to_array(tensor)]
+        for turned in (array, array.T)
+    ]
+    matrices = {
+        name: value.numpy()
+        for name, value in walk.policy.items()
+        if value.ndim == 2 and "critic" not in name
+    }
+    assert len(matrices) > 2
+    for name, value in matrices.items():
+        assert value.dtype == np.float32
+        assert any(np.array_equal(array, value) for array in held), name
+
+
 def test_it_says_how_it_is_used(exported: Path) -> None:
     found = facts(session(exported))
     assert found["control"] == {"frequency": 30.0, "servo_timestep": pytest.approx(1 / 600)}

@@ -12,7 +12,7 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
-from understudy.records import runs
+from understudy.records import checkpoint, runs
 from understudy_skills import folder, skill
 from understudy_skills.folder import run_folder
 from understudy_skills.skill import open_skill
@@ -143,6 +143,10 @@ def test_what_another_run_left_is_not_packed(
     assert not file.parent.exists(), "nothing is written"
     own = "initial_states={name: miniature/somewhere, drag: [0.5, 2.0]}"
     assert main(["play", str(run), own, "--pack", str(file)]) == 0
+    assert "from the pack's starts" not in capsys.readouterr().err, (
+        "the run has its copy of the bank"
+    )
+    assert checkpoint.load(file)[1]["weights"]["compared"]["starts"] > 1
     shutil.rmtree(run)
     shutil.rmtree(bank, ignore_errors=True)
     assert main(["play", str(file), "--unpack", str(tmp_path / "again")]) == 0

@@ -61,6 +61,9 @@ class Evaluation(Judgement):
     different_starts: int | None = (
         None  #: in how many states episodes began; None if nobody counted
     )
+    #: Of each episode a digest of where it began, and what `compared` came to; empty if nobody counted.
+    outcomes: Sequence[tuple[bytes, float]] = field(default=(), compare=False, repr=False)
+    compared: str = "success"  #: what `outcomes` are of: success, 1 or 0, or a measure
 
     @property
     def trials(self) -> int:

@@ -138,7 +138,7 @@ class Evaluator:
                 rows, _ = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
                 begun[f"success_from_{name}"] = Measured.of("any", rows["success"].float())
         found: list[dict[str, Tensor]] = []
-        states: set[bytes] | None = set() if give_up_below is None else None
+        states: list[bytes] | None = [] if give_up_below is None else None
         lost = done = 0
         complete = True
         while done < episodes and complete:
@@ -161,6 +161,11 @@ class Evaluator:
                 if term.outcome in outcomes
             }
 
+        compared = f"measure/{self.options.objective}"
+        if self.success is not None:
+            compared = "success"
+        elif compared not in joined:
+            compared = "measure/return"
         return Evaluation(
             episodes=done,
             success=self.success.text if self.success else "",
@@ -177,7 +182,9 @@ class Evaluator:
             seconds=self.options.seconds,
             complete=complete,
             unsound=float(joined["unsound"].float().mean()),
-            different_starts=None if states is None else len(states),
+            different_starts=None if states is None else len(set(states)),
+            outcomes=list(zip(states or (), joined[compared].double().tolist(), strict=False)),
+            compared=compared.removeprefix("measure/"),
         )
 
     def _batch(
@@ -187,14 +194,14 @@ class Evaluator:
         count: int,
         allowed: float = math.inf,
         on_period: Callable[[Tensor], None] | None = None,
-        states: set[bytes] | None = None,
+        states: list[bytes] | None = None,
     ) -> tuple[dict[str, Tensor], bool]:
         """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost. Digests of
         the states in which they begin are added to `states`."""
         environment = self.built.environment
         observations = environment.reset(self._seed, draw)
         if states is not None:
-            states |= self._digests(count)
+            states += self._digests(count)
         self._running.fill_(True)
         self._running[count:] = False
         self._seconds.zero_()
@@ -225,7 +232,7 @@ class Evaluator:
         }
         return {name: value[:count].clone() for name, value in found.items()}, complete
 
-    def _digests(self, count: int) -> set[bytes]:
+    def _digests(self, count: int) -> list[bytes]:
         """A digest of the state of each of the first `count` worlds: physics, what an episode keeps, observations."""
         environment = self.built.environment
         state = environment.state_dict()
@@ -235,7 +242,7 @@ class Evaluator:
             for value in state[of].values()
             if value.numel() and value.shape[:1] == (environment.num_worlds,)
         ]
-        return {hashlib.sha256(row.tobytes()).digest() for row in np.concatenate(columns, axis=1)}
+        return [hashlib.sha256(row.tobytes()).digest() for row in np.concatenate(columns, axis=1)]
 
     def _within(self, allowed: float, count: int) -> bool:
         """Whether the success rate can still be reached: of episodes that are over, all is known."""

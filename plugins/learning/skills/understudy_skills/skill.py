@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
@@ -29,10 +30,22 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
 from understudy_reinforcement.policy import Policy, build_policy
 
-__all__ = ["Skill", "names", "open_skill", "pack", "refuse_of_others", "rounded", "unpack"]
+__all__ = [
+    "BITS",
+    "Skill",
+    "is_left_over",
+    "names",
+    "open_skill",
+    "pack",
+    "refuse_of_others",
+    "rounded",
+    "unpack",
+    "with_own_starts",
+]
 
-#: Of each row of a matrix: the largest weight.
-_STEPS = 127
+#: That a packed weight may have. With 32 nothing is rounded.
+BITS = (8, 16, 32)
+_INTEGERS = {8: torch.int8, 16: torch.int16}
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 #: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
@@ -235,11 +248,49 @@ def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
             yield from _words_in(part, f"{key}.{name}".lstrip("."))
 
 
-def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
+def with_own_starts(
+    skill: Skill, source: str, *, registry: Registry | None = None
+) -> Experiment | None:
+    """The task of `skill`, which is `source` under overrides, begun where `source` begins without them; None where these
+    are the same starts.
+
+    Raises
+    ------
+    UnderstudyError
+        if its own starts are not here any more.
+    """
+    registry, path = registry or installed().registry, Path(source)
+    if path.is_dir():
+        run = runs.open_run(path)
+        own = run.config
+        experiment = run.experiment(registry, _begun_as(own, skill))
+    else:
+        if source in registry.names("skill"):
+            path = registry.find("skill", source).factory()
+        own = checkpoint.load(path)[1]["config"]
+        experiment = validate(_begun_as(own, skill), registry)
+    return None if _starts(experiment) == _starts(skill.experiment) else experiment
+
+
+def _begun_as(own: Mapping[str, Any], skill: Skill) -> dict[str, Any]:
+    """The configuration of `skill`, with `own` starts."""
+    config = dict(skill.card["config"])
+    evaluation = {k: v for k, v in (config.get("evaluation") or {}).items() if k != "starts"}
+    if starts := (own.get("evaluation") or {}).get("starts"):
+        evaluation["starts"] = starts
+    return {**config, "initial_states": own.get("initial_states"), "evaluation": evaluation}
+
+
+def _starts(experiment: Experiment) -> list[Any]:
+    config = experiment.effective()
+    return [config.get("initial_states"), (config.get("evaluation") or {}).get("starts")]
+
+
+def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:
     """Write the actor of `skill` as ``PATH.safetensors`` and its card as ``PATH.json``.
 
-    Matrices become eight bits a weight with a scale for each row, the rest half or full precision.
-    `evaluation` is what was found of it.
+    Matrices become 8 or 16 `bits` a weight with a scale for each row; with 32 they stay as they are, as all else
+    does. `evaluation` is what was found of it.
     """
     kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
     card = {**skill.card, "evaluation": dict(evaluation)}
@@ -252,9 +303,20 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     checkpoint.save(
         path,
-        {"policy": {k: _packed_tensor(v) for k, v in kept.items()}},
+        {"policy": {k: _packed_tensor(v, bits) for k, v in kept.items()}},
         {**card, "config": config},
     )
+
+
+def is_left_over(file: Path) -> bool:
+    """Whether `file` has the tensors of a pack that was killed before it had a card: nothing without it."""
+    if file.with_suffix(".json").exists():
+        return False
+    try:
+        with safe_open(file, "pt") as tensors:
+            return all(name.startswith("policy/") for name in tensors.keys())  # noqa: SIM118 - no mapping
+    except (OSError, SafetensorError):
+        return False
 
 
 def unpack(skill: Skill, path: Path) -> None:
@@ -337,17 +399,19 @@ def copy_run(source: str, folder: Path) -> None:
             (folder / "inputs" / name).write_bytes((inputs.folder / name).read_bytes())
 
 
-def rounded(skill: Skill) -> Skill:
-    """`skill` as it is once packed, so that what is judged is what is shipped."""
-    tensors = {k: _unpacked(_packed_tensor(v)) for k, v in skill.policy.items()}
+def rounded(skill: Skill, bits: int = 8) -> Skill:
+    """`skill` as it is once packed with so many `bits` a weight, so that what is judged is what is shipped."""
+    tensors = {k: _unpacked(_packed_tensor(v, bits)) for k, v in skill.policy.items()}
     return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)
 
 
-def _packed_tensor(value: Tensor) -> Tensor | dict[str, Tensor]:
-    if value.ndim != 2:
+def _packed_tensor(value: Tensor, bits: int) -> Tensor | dict[str, Tensor]:
+    if value.ndim != 2 or bits == max(BITS):
         return value
-    scale = value.abs().amax(dim=1).clamp(min=1e-12) / _STEPS
-    return {"rows": (value / scale[:, None]).round().to(torch.int8), "scale": scale}
+    integer = _INTEGERS[bits]
+    # of each row the largest weight is the largest integer
+    scale = value.abs().amax(dim=1).clamp(min=1e-12) / torch.iinfo(integer).max
+    return {"rows": (value / scale[:, None]).round().to(integer), "scale": scale}
 
 
 def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:

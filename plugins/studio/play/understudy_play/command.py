@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from understudy.command.command import Command
-from understudy.errors import ConfigError, shown
-from understudy.running.training import Training
+from understudy.command.command import Command, tell
+from understudy.errors import ConfigError, UnderstudyError, shown
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_credits.walk import answer, open_made
@@ -20,14 +19,18 @@ from understudy_motion.arguments import port, positive
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
+from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
+    BITS,
     Skill,
+    is_left_over,
     names,
     open_skill,
     pack,
     refuse_of_others,
     rounded,
     unpack,
+    with_own_starts,
 )
 
 __all__ = ["add_page_arguments", "film", "record", "serve"]
@@ -64,8 +67,15 @@ class Play(Command):
             help="push the character sideways every 3 s, in newton seconds (video only)",
         )  # fmt: skip
         parser.add_argument(
-            "--pack", metavar="FILE", type=Path, help="evaluate, and write it small"
+            "--pack",
+            metavar="FILE",
+            type=Path,
+            help="compare it rounded with itself, and write it small",
         )
+        parser.add_argument(
+            "--bits", type=int, choices=BITS,
+            help="of a packed weight, whatever they cost (8, or the next of these that loses nothing by it)",
+        )  # fmt: skip
         parser.add_argument(
             "--unpack", metavar="FOLDER", type=Path,
             help="write it as a run folder, for actuation.runs, start.run and job.run of other trainings",
@@ -78,7 +88,10 @@ class Play(Command):
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.video
-        yield _packed_file(options.pack) if options.pack is not None else None
+        if options.pack is not None:
+            file = _packed_file(options.pack)
+            tensors = file.with_suffix(".safetensors")
+            yield from (file, None if is_left_over(tensors) else tensors)
 
     def run(self, options: argparse.Namespace) -> int:
         if options.skill is None:
@@ -90,6 +103,8 @@ class Play(Command):
             return 0
         if options.follow and (options.video or options.pack or options.unpack):
             raise ConfigError("--follow shows a page. Leave out --video, --pack and --unpack.")
+        if options.bits is not None and options.pack is None:
+            raise ConfigError("--bits is of a packed weight. Add --pack FILE, or leave it out.")
         if options.follow and not (Path(options.skill) / "run.json").is_file():
             raise ConfigError(
                 f"--follow takes the folder of a run, as runs/spacetime-walk-001, and {options.skill} is none."
@@ -99,7 +114,7 @@ class Play(Command):
             refuse_of_others(skill)
             licence = answer(open_made(options.skill))
             skill = replace(skill, card={**skill.card, "licence": licence})
-            return _pack(skill, options.pack)
+            return _pack(skill, options)
         if options.unpack is not None:
             unpack(skill, options.unpack)
             print(f"run: {options.unpack}")
@@ -165,28 +180,46 @@ def describe(skill: Skill) -> str:
 
 
 def _packed_file(path: Path) -> Path:
-    if not path.name:
+    name = path.name.removesuffix(".json").removesuffix(".safetensors")
+    if not name:
         raise ConfigError(f"--pack {path} names no file. Give one: FILE.json.")
-    return path.with_name(f"{path.name.removesuffix('.json')}.json")
+    return path.with_name(f"{name}.json")
 
 
-def _pack(skill: Skill, path: Path) -> int:
+def _pack(skill: Skill, options: argparse.Namespace) -> int:
     """What is judged is what is written: the rounded weights."""
-    small, file = rounded(skill), _packed_file(path)
+    file = _packed_file(options.pack)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--pack {path} cannot be written there: {error.strerror}.") from error
-    training = Training(small.experiment)
-    try:
-        progress = {**training.progress.state_dict(), "samples": small.samples}
-        training.load_learned({"policy": small.whole(), "progress": progress})
-        evaluation, _ = training.judge()
-    finally:
-        training.close()
-    pack(skill, file, evaluation.as_json(skill.samples))
+        raise ConfigError(
+            f"--pack {options.pack} cannot be written there: {error.strerror}."
+        ) from error
+    rounding = _from_own_starts(skill, options)
+    if rounding is None:
+        rounding = enough_bits(skill, skill.experiment, options.bits, _say)
+        found = rounding.evaluation
+    else:  # the pack's starts may be easier: its card tells of these
+        found = judged(rounded(skill, rounding.bits), skill.experiment)
+    skill = replace(skill, card={**skill.card, "weights": rounding.as_json()})
+    pack(skill, file, found.as_json(skill.samples), rounding.bits)
     print(shown(f"{file}: {describe(open_skill(str(file)))}"))
     return 0
+
+
+def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | None:
+    """What rounding costs from the starts that were the skill's own before overrides gave it others; None where none
+    did, or its own are gone or do not go with the rest."""
+    try:
+        experiment = with_own_starts(skill, options.skill)
+        return experiment and enough_bits(skill, experiment, options.bits, _say)
+    except UnderstudyError as error:
+        tell(f"It is compared from the pack's starts, since from its own it cannot be: {error}")
+        return None
+
+
+def _say(line: str) -> None:
+    print(shown(line))
 
 
 def _film(skill: Skill, options: argparse.Namespace) -> int:
