@@ -39,6 +39,8 @@ class HandKinematics:
         self._parents = [row[int(model.body_parentid[body])] for body in bodies]
         self._offsets = _tensor(model.body_pos[bodies])
         self._turns = _tensor([_matrix(model.body_quat[body]) for body in bodies])
+        straight = torch.eye(3, dtype=torch.float64)
+        self._turned = (self._turns != straight).flatten(1).any(1).tolist()  # from its parent
         joints = [j for b in bodies for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])]  # fmt: skip
         #: Names of the hinges, in the model's order.
         self.hinges = [model.joint(j).name for j in joints]
@@ -79,6 +81,7 @@ class HandKinematics:
         count = len(pose)
         sine, cosine = pose.sin()[..., None, None], pose.cos()[..., None, None]
         turns = torch.eye(3, dtype=pose.dtype) + sine * self._skew + (1.0 - cosine) * self._square
+        by_hinge = turns.unbind(1)
         places: list[Tensor] = []
         matrices: list[Tensor] = []
         for link, parent in enumerate(self._parents):
@@ -87,9 +90,11 @@ class HandKinematics:
                 matrix = self._turns[link].expand(count, 3, 3)
             else:
                 place = places[parent] + matrices[parent] @ self._offsets[link]
-                matrix = matrices[parent] @ self._turns[link]
+                matrix = matrices[parent]
+                if self._turned[link]:
+                    matrix = matrix @ self._turns[link]
             for hinge in self._hinges_of[link]:
-                turned = matrix @ turns[:, hinge]
+                turned = matrix @ by_hinge[hinge]
                 if self._off[hinge]:
                     anchor = self._anchors[hinge]
                     place = place + matrix @ anchor - turned @ anchor
