@@ -369,9 +369,12 @@ class Character:
                     f"{suggestion(joint.name, clip.joint_names)} A clip of another skeleton is "
                     f"retargeted first: {self.retargeting(clip)}."
                 )
-            rest = self._rest(row)
-            local = rotation[:, clip.joint_names.index(joint.name)]
-            turned = rotations.multiply(rotations.multiply(rotations.conjugate(rest), local), rest)
+            rest, local = self._rests[row], rotation[:, clip.joint_names.index(joint.name)]
+            turned = local + 0.0  # so that no zero is negative, as of a product
+            if rest is not None:
+                turned = rotations.multiply(
+                    rotations.multiply(rotations.conjugate(rest), local), rest
+                )
             if len(joint.axes) == 0:
                 start = joint.addresses[0]
                 result[:, start : start + 4] = turned
@@ -444,9 +447,11 @@ class Character:
                 for axis, address in zip(joint.axes, joint.addresses, strict=True):
                     hinge = rotations.from_axis_angle(torch.from_numpy(axis), qpos[:, address])
                     turned = rotations.multiply(turned, hinge)
-            rest = self._rest(row)
+            rest = self._rests[row]
             found.append(
-                rotations.multiply(rotations.multiply(rest, turned), rotations.conjugate(rest))
+                turned.expand(len(qpos), 4) + 0.0
+                if rest is None
+                else rotations.multiply(rotations.multiply(rest, turned), rotations.conjugate(rest))
             )
         return Clip(
             name=name,
@@ -459,8 +464,12 @@ class Character:
             **about,
         )
 
-    def _rest(self, row: int) -> Tensor:
-        return torch.from_numpy(self.rest_rotations[row].as_quat(scalar_first=True))
+    @cached_property
+    def _rests(self) -> list[Tensor | None]:
+        """Of each joint :attr:`rest_rotations`; None where that is no turn at all."""
+        found = torch.from_numpy(self.rest_rotations.as_quat(scalar_first=True))
+        still = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+        return [None if torch.equal(rest, still) else rest for rest in found]
 
     # ------------------------------------------------------------------ geometry
 
@@ -468,12 +477,14 @@ class Character:
         """(F, J): height in m of the lowest point of what each joint carries above z = 0; infinite
         where it carries nothing."""
         ids = [geom.id for geom in self.geoms]
-        heights, matrices = np.empty((len(qpos), len(ids))), np.empty((len(qpos), len(ids), 3))
+        model, data = self.model, self.data
+        places, axes = np.empty((len(qpos), model.ngeom, 3)), np.empty((len(qpos), model.ngeom, 9))
+        pose, place, turn = data.qpos, data.geom_xpos, data.geom_xmat
         for frame, row in enumerate(qpos.numpy()):
-            self.data.qpos[:] = row
-            mujoco.mj_kinematics(self.model, self.data)
-            heights[frame] = self.data.geom_xpos[ids, 2]
-            matrices[frame] = self.data.geom_xmat[ids].reshape(-1, 3, 3)[:, 2]
+            pose[:] = row
+            mujoco.mj_kinematics(model, data)
+            places[frame], axes[frame] = place, turn
+        heights, matrices = places[:, ids, 2], axes[:, ids, 6:]
         lowest = np.full((len(qpos), len(self.joints)), np.inf)
         for column, geom in enumerate(self.geoms):
             below = heights[:, column] - self._reach(geom.id, matrices[:, column])

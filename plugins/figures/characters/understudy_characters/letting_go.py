@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
 import torch
 
 from understudy_characters.character import Character
-from understudy_characters.layout import layout_of
+from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.shapes import surface_points
 from understudy_motion.clip import Clip
@@ -81,20 +82,35 @@ class Bodies:
 
 def bodies_of(character: Character, qpos: np.ndarray, qvel: np.ndarray) -> Bodies:
     """The figure as one body in the states `qpos` (F, nq), `qvel` (F, nv)."""
+    return _bodies_and_frames(character, qpos, qvel)[0]
+
+
+def _bodies_and_frames(
+    character: Character, qpos: np.ndarray, qvel: np.ndarray
+) -> tuple[Bodies, np.ndarray, np.ndarray]:
+    """:func:`bodies_of`, and where all the model's bodies are (F, B, 3) m, and their axes (F, B, 3, 3)."""
     model, data = character.model, mujoco.MjData(character.model)
     parts, root = sorted(character.carrier), character.root
     centres, speeds, spins = np.zeros((3, len(qpos), 3))
-    places, axes = np.zeros((len(qpos), len(parts), 3)), np.zeros((len(qpos), len(parts), 9))
-    for frame, (data.qpos[:], data.qvel[:]) in enumerate(zip(qpos, qvel, strict=True)):
+    places, middles = np.zeros((2, len(qpos), model.nbody, 3))
+    axes, principal = np.zeros((2, len(qpos), model.nbody, 9))
+    state, found = (data.qpos, data.qvel), (
+        (centres, data.subtree_com[root]), (speeds, data.subtree_linvel[root]),
+        (spins, data.subtree_angmom[root]), (places, data.xpos), (middles, data.xipos),
+        (axes, data.xmat), (principal, data.ximat),
+    )  # fmt: skip
+    for frame in range(len(qpos)):
+        state[0][:], state[1][:] = qpos[frame], qvel[frame]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
-        centres[frame], speeds[frame] = data.subtree_com[root], data.subtree_linvel[root]
-        spins[frame] = data.subtree_angmom[root]
-        places[frame], axes[frame] = data.xipos[parts], data.ximat[parts]
-    inertia = _inertia(model, parts, places - centres[:, None], axes.reshape(*places.shape, 3))
-    return Bodies(centres, speeds, spins, np.linalg.inv(inertia))
+        for rows, now in found:
+            rows[frame] = now
+    axes, principal = (a.reshape(*places.shape, 3) for a in (axes, principal))
+    inertia = _inertia(model, parts, middles[:, parts] - centres[:, None], principal[:, parts])
+    whole = Bodies(centres, speeds, spins, np.linalg.inv(inertia))
+    return whole, places, axes
 
 
 def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> LettingGo:
@@ -109,7 +125,7 @@ def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> Letting
     floor
         what of the motion training puts on the floor (``motion.floor``).
     """
-    layout = layout_of(character)
+    layout = _layout_of(character)
     reference = ReferenceMotion(clip, character, layout, control_dt=CONTROL, floor=floor)
     count = max(2, round(clip.duration * STARTS))
     dt = clip.duration / count
@@ -117,9 +133,9 @@ def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> Letting
     rows = count + ahead if clip.loop else count
     state = reference.sample(torch.arange(rows, dtype=torch.float64).float() * dt)
     qpos, qvel = (state[f"reference_{n}"].double() for n in ("qpos", "qvel"))
-    whole = bodies_of(character, qpos.numpy(), qvel.numpy())
+    whole, places, axes = _bodies_and_frames(character, qpos.numpy(), qvel.numpy())
     lowest = state["reference_link_clearances"].amin(1).double().numpy()
-    arms = _surface(character, qpos) - whole.centres[:, None]
+    arms = _surface(character, places - whole.centres[:, None], axes)
     deepest = arms[..., 2].min(1)
     gravity = np.asarray(character.model.opt.gravity)
 
@@ -141,10 +157,15 @@ def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> Letting
         turned[aloft] = 2.0 * np.arccos(np.clip(np.abs(turns[:, 0]), 0.0, 1.0))
         # As low as in the clip, but for where the body is instead and how it is turned.
         up = _upward(turns)
-        low = np.einsum("npi,ni->np", arms[now], up).min(1) - deepest[now]
+        low = (arms[now] @ up[..., None])[..., 0].min(1) - deepest[now]
         still = lowest[now] + beside[:, 2] + low > 0.0
         aloft, turns = aloft[still], turns[still]
     return LettingGo(dt * np.arange(count), falls, away, turned)
+
+
+@lru_cache(maxsize=8)  # each clip of a character asks for it anew
+def _layout_of(character: Character) -> Layout:
+    return layout_of(character)
 
 
 def _turned(
@@ -169,17 +190,15 @@ def _upward(turns: np.ndarray) -> np.ndarray:
     return rotations.rotate(rotations.conjugate(torch.from_numpy(turns)), up).numpy()
 
 
-def _surface(character: Character, qpos: torch.Tensor) -> np.ndarray:
-    """(F, P, 3) m: points of the figure's surface in the poses `qpos` (F, nq)."""
+def _surface(character: Character, places: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """(F, P, 3) m: points of the figure's surface, of bodies at `places` (F, B, 3) with `axes` (F, B, 3, 3)."""
     owners, points = surface_points(character)
-    model, data = character.model, mujoco.MjData(character.model)
-    bodies = [joint.body for joint in character.joints]
-    places, axes = np.zeros((len(qpos), len(bodies), 3)), np.zeros((len(qpos), len(bodies), 9))
-    for frame, data.qpos[:] in enumerate(qpos.numpy()):
-        mujoco.mj_kinematics(model, data)
-        places[frame], axes[frame] = data.xpos[bodies], data.xmat[bodies]
-    places, axes = places[:, owners], axes[:, owners]
-    return places + np.einsum("fpij,pj->fpi", axes.reshape(*places.shape, 3), points.numpy())
+    found = np.zeros((len(places), len(points), 3))
+    edges = np.searchsorted(owners, np.arange(len(character.joints) + 1))
+    for joint, first, last in zip(character.joints, edges, edges[1:], strict=False):
+        turned = points[first:last].numpy() @ axes[:, joint.body].swapaxes(1, 2)
+        np.add(places[:, joint.body, None], turned, out=found[:, first:last])
+    return found
 
 
 def _inertia(

@@ -14,7 +14,7 @@ from torch import Tensor
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout
 from understudy_characters.servos import lags
-from understudy_characters.state import Poses
+from understudy_characters.state import poses_of
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
 from understudy_motion.section import Floor
 from understudy_mujoco.scene import model_digest
@@ -137,10 +137,10 @@ class ReferenceMotion:
                 layout, model.nv, qpos_at(when - reach), qpos_at(when + reach), 1.0
             )
 
-        seam = float(moved(times[-1:], _INSTANT).abs().max())
+        closed = self.loop and float(moved(times[-1:], _INSTANT).abs().max()) < _CLOSED
         inside = times.clamp(_EPSILON, self.duration - _EPSILON)
-        qvel = moved(times if self.loop and seam < _CLOSED else inside, _EPSILON) / (2 * _EPSILON)
-        poses = Poses(character, layout)
+        qvel = moved(times if closed else inside, _EPSILON) / (2 * _EPSILON)
+        poses = poses_of(character, layout)
         self.height_offset = -_floor(poses.state(qpos), times, floor)
         qpos[:, at + 2] += self.height_offset
         state = poses.state(qpos)

@@ -6,6 +6,8 @@ in it does not change when the character stands elsewhere or faces another way.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -132,3 +134,9 @@ class Poses:
             "end_effector_positions": rotations.turned(effectors, -yaw),
             "link_clearances": lowest_points(self._surface, position[..., 2], up),
         }
+
+
+@lru_cache(maxsize=8)  # each clip of a character asks for it anew
+def poses_of(character: Character, layout: Layout) -> Poses:
+    """Of this very character and layout."""
+    return Poses(character, layout)

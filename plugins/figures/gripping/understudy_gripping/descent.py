@@ -70,21 +70,25 @@ def minimise(
         length = torch.ones_like(value)
         if not pairs:
             length = 0.05 / direction.abs().amax(1).clamp(min=1e-12)
-        new, best = point, value
+        new, after, turned = point, value, None
         waiting = torch.ones_like(value, dtype=torch.bool)
         for _ in range(halvings):
-            tried = (point + length[:, None] * direction).clamp(low, high)
-            with torch.no_grad():
-                found = cost(tried)
-            enough = found <= value + _ARMIJO * ((tried - point) * slope).sum(1)
+            tried = (point + length[:, None] * direction).clamp(low, high).requires_grad_(True)
+            reached = cost(tried)
+            found, ahead = reached.detach(), tried.detach()
+            enough = found <= value + _ARMIJO * ((ahead - point) * slope).sum(1)
             take = waiting & enough & torch.isfinite(found)
-            new = torch.where(take[:, None], tried, new)
-            best = torch.where(take, found, best)
+            if take.all():  # all at the first: what was worked out for it has the gradient, too
+                new, after = ahead, found
+                (turned,) = torch.autograd.grad(reached.sum(), tried)
+                break
+            new = torch.where(take[:, None], ahead, new)
             waiting &= ~take
             if not waiting.any():
                 break
             length = torch.where(waiting, 0.5 * length, length)
-        after, turned = _with_gradient(cost, new)
+        if turned is None:
+            after, turned = _with_gradient(cost, new)
         step, change = new - point, turned - slope
         curved = (step * change).sum(1)
         good = curved > 1e-12 * (change * change).sum(1).clamp(min=1e-30)

@@ -39,6 +39,8 @@ class HandKinematics:
         self._parents = [row[int(model.body_parentid[body])] for body in bodies]
         self._offsets = _tensor(model.body_pos[bodies])
         self._turns = _tensor([_matrix(model.body_quat[body]) for body in bodies])
+        straight = torch.eye(3, dtype=torch.float64)
+        self._turned = (self._turns != straight).flatten(1).any(1).tolist()  # from its parent
         joints = [j for b in bodies for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])]  # fmt: skip
         #: Names of the hinges, in the model's order.
         self.hinges = [model.joint(j).name for j in joints]
@@ -49,12 +51,14 @@ class HandKinematics:
         #: (H, 2) rad
         self.ranges = _tensor(model.jnt_range[joints])
         self._anchors = _tensor(model.jnt_pos[joints])
+        self._off = self._anchors.any(1).tolist()  # whether a hinge is beside its link's origin
         axes = _tensor(model.jnt_axis[joints])
         self._skew = torch.linalg.cross(
             axes[:, :, None].expand(-1, 3, 3),
             torch.eye(3, dtype=torch.float64).expand(len(axes), 3, 3),
             dim=1,
         )
+        self._square = self._skew @ self._skew
         geoms = {n: model.geom(n) for n in self.names if model.body(n).geomnum[0]}
         capsule = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
         #: Links that are capsules, and their radii (C,) m.
@@ -76,8 +80,8 @@ class HandKinematics:
         """Positions (B, L, 3) and matrices (B, L, 3, 3) of the links at the angles `pose` (B, H) rad."""
         count = len(pose)
         sine, cosine = pose.sin()[..., None, None], pose.cos()[..., None, None]
-        square = self._skew @ self._skew
-        turns = torch.eye(3, dtype=pose.dtype) + sine * self._skew + (1.0 - cosine) * square
+        turns = torch.eye(3, dtype=pose.dtype) + sine * self._skew + (1.0 - cosine) * self._square
+        by_hinge = turns.unbind(1)
         places: list[Tensor] = []
         matrices: list[Tensor] = []
         for link, parent in enumerate(self._parents):
@@ -86,10 +90,14 @@ class HandKinematics:
                 matrix = self._turns[link].expand(count, 3, 3)
             else:
                 place = places[parent] + matrices[parent] @ self._offsets[link]
-                matrix = matrices[parent] @ self._turns[link]
+                matrix = matrices[parent]
+                if self._turned[link]:
+                    matrix = matrix @ self._turns[link]
             for hinge in self._hinges_of[link]:
-                anchor, turned = self._anchors[hinge], matrix @ turns[:, hinge]
-                place = place + matrix @ anchor - turned @ anchor
+                turned = matrix @ by_hinge[hinge]
+                if self._off[hinge]:
+                    anchor = self._anchors[hinge]
+                    place = place + matrix @ anchor - turned @ anchor
                 matrix = turned
             places.append(place)
             matrices.append(matrix)

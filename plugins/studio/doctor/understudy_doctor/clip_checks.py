@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
 from scipy.ndimage import median_filter
+from torch import Tensor
 
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity
 from understudy_motion.clip import Clip, cycle_transform
@@ -76,9 +78,15 @@ def check_clip(clip: Clip) -> Iterator[Finding]:
 
 def speeds(clip: Clip) -> np.ndarray:
     """(F - 1, J, 3) rad/s between frames, in the joints' own frames."""
-    q = clip.rotations
+    return _speeds(clip.rotations, clip.times)
+
+
+@lru_cache(maxsize=4)  # by the tensors themselves: all checks of a clip ask for them
+def _speeds(q: Tensor, times: Tensor) -> np.ndarray:
     steps = rotations.to_exponential_map(rotations.multiply(rotations.conjugate(q[:-1]), q[1:]))
-    return (steps / clip.times.diff()[:, None, None]).numpy()
+    found = (steps / times.diff()[:, None, None]).numpy()
+    found.setflags(write=False)
+    return found
 
 
 # ---------------------------------------------------------------------- frames

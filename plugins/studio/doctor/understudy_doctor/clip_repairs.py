@@ -47,7 +47,7 @@ def mend_held(clip: Clip) -> tuple[Clip, list[str]]:
             position[first - 1], position[last + 1], share[:, None]
         )
         done.append(f"moved the root steadily over frames {first}–{last}")
-    return replace(clip, root_position=position), done
+    return (replace(clip, root_position=position) if done else clip), done
 
 
 def mend_frames(clip: Clip) -> tuple[Clip, list[str]]:
@@ -77,7 +77,10 @@ def mend_spikes(clip: Clip) -> tuple[Clip, list[str]]:
     done = []
     around = max(1, round(0.5 * JUMP_SECONDS * clip.frame_rate))
     for _ in range(SPIKE_PASSES):
-        for spike in find_spikes(clip):
+        found = find_spikes(clip)
+        if not found:
+            break
+        for spike in found:
             first, last = spike.frames
             if spike.back is None:
                 first, last = first + 1 - around, last - 1 + around

@@ -36,10 +36,11 @@ _EVEN_SPREAD = 1e-4  # weight of small forces against an exact explanation
 class Effort:
     """What a motion asks for, per frame, before the ground's share."""
 
-    qpos: np.ndarray  #: (F, nq), smoothed
     forces: np.ndarray  #: (F, nv) N and N m, in MuJoCo's generalised coordinates
     lift: np.ndarray  #: (F,) upward force that the centre of mass needs, in weights
     weight: float  #: N
+    axes: np.ndarray  #: (F, nv, 6) what each coordinate turns and moves, MuJoCo's ``cdof`` …
+    origin: np.ndarray  #: (F, 3) m, world: … about this point
 
 
 def effort(character: Character, clip: Clip) -> Effort:
@@ -64,19 +65,23 @@ def effort(character: Character, clip: Clip) -> Effort:
     data = mujoco.MjData(model)
     flags = model.opt.disableflags
     model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    forces = np.zeros((len(qpos), model.nv))
+    tree = int(model.body_rootid[character.root])
+    forces, axes = np.zeros((len(qpos), model.nv)), np.zeros((len(qpos), model.nv, 6))
+    origin = np.zeros((len(qpos), 3))
+    place, speed, change = data.qpos, data.qvel, data.qacc
+    needed, turning, middle = data.qfrc_inverse, data.cdof, data.subtree_com[tree]
     try:
-        for row, *state in zip(forces, qpos, qvel, qacc, strict=True):
-            data.qpos[:], data.qvel[:], data.qacc[:] = state
+        for frame in range(len(qpos)):
+            place[:], speed[:], change[:] = qpos[frame], qvel[frame], qacc[frame]
             mujoco.mj_inverse(model, data)
-            row[:] = data.qfrc_inverse
+            forces[frame], axes[frame], origin[frame] = needed, turning, middle
     finally:
         model.opt.disableflags = flags
     weight = float(model.body_subtreemass[character.root]) * float(
         np.linalg.norm(model.opt.gravity)
     )
     at = int(model.body_dofadr[character.root])
-    return Effort(qpos, forces, forces[:, at + 2] / weight, weight)
+    return Effort(forces, forces[:, at + 2] / weight, weight, axes, origin)
 
 
 @dataclass(frozen=True)
@@ -113,32 +118,48 @@ def support(
     bearing
         (F, P) bool, the points in contact.
     """
-    model, data = character.model, mujoco.MjData(character.model)
-    at = int(model.body_dofadr[character.root])
+    at = int(character.model.body_dofadr[character.root])
     root = slice(at, at + 6)
     scale = np.repeat([1.0, 1.0 / LEVER], 3) / asked.weight
-    edges = _pyramid()
-    bodies = [joint.body for joint in character.joints]
-    jacobian = np.zeros((3, model.nv))
+    edges = asked.weight * _pyramid()
     forces = asked.forces.copy()
-    for frame, pose in enumerate(asked.qpos):
-        touching = np.flatnonzero(bearing[frame])
-        if len(touching) == 0:
-            continue
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        columns = []
-        for point in touching:
-            body = bodies[owners[point]]
-            mujoco.mj_jac(model, data, jacobian, None, points[frame, point], body)
-            columns.append(edges @ jacobian)
-        pushes = np.concatenate(columns).T * asked.weight  # (nv, edges), a weight along each
-        system = np.vstack([pushes[root] * scale[:, None], _EVEN_SPREAD * np.eye(pushes.shape[1])])
-        wanted = np.concatenate([forces[frame, root] * scale, np.zeros(pushes.shape[1])])
-        forces[frame] -= pushes @ nnls(system, wanted)[0]
+    frames, rows = np.nonzero(bearing)
+    arms = points[frames, rows] - asked.origin[frames]
+    turns, moves = np.split(
+        asked.axes[frames, root], 2, axis=2
+    )  # (C, 6, 3), of C points in contact
+    pushes = (
+        moves + np.cross(turns, arms[:, None])
+    ) @ edges.T  # (C, 6, edges), a weight along each
+    shares = np.zeros((len(frames), len(edges)))
+    ends = np.searchsorted(frames, np.arange(len(forces) + 1))
+    for frame in np.unique(frames):
+        here = slice(ends[frame], ends[frame + 1])
+        columns = (pushes[here] * scale[:, None]).swapaxes(0, 1).reshape(6, -1)
+        count = columns.shape[1]
+        system = np.vstack([columns, _EVEN_SPREAD * np.eye(count)])
+        wanted = np.concatenate([forces[frame, root] * scale, np.zeros(count)])
+        shares[here] = nnls(system, wanted)[0].reshape(-1, len(edges))
+    # By joint, all forces as one at the origin; each coordinate feels those of the joints beyond it.
+    pushed = shares @ edges
+    total = np.zeros((len(forces), len(character.joints), 6))
+    np.add.at(total, (frames, owners[rows]), np.hstack([np.cross(arms, pushed), pushed]))
+    felt = np.einsum("fjk,jd->fdk", total, _beyond(character))
+    forces -= (asked.axes * felt).sum(2)
     unexplained = np.linalg.norm(forces[:, root] * scale, axis=1)
     return Support(unexplained, *_torques(character, forces))
+
+
+def _beyond(character: Character) -> np.ndarray:
+    """(J, nv): 1 where a joint hangs on a coordinate, itself included."""
+    model = character.model
+    result = np.zeros((len(character.joints), model.nv))
+    for row, joint in enumerate(character.joints):
+        dof = int(model.body_dofadr[joint.body] + model.body_dofnum[joint.body]) - 1
+        while dof >= 0:
+            result[row, dof] = 1.0
+            dof = int(model.dof_parentid[dof])
+    return result
 
 
 def _pyramid() -> np.ndarray:

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
+import torch
 from torch import Tensor
 
 from understudy_characters.character import Character
@@ -129,10 +130,12 @@ class Measurements:
         """(F, 3) m: the centre of mass."""
         model, data = self.character.model, mujoco.MjData(self.character.model)
         result = np.zeros((len(self.qpos), 3))
-        for row, data.qpos[:] in zip(result, self.qpos.numpy(), strict=True):
+        pose, centre = data.qpos, data.subtree_com[self.character.root]
+        for row, qpos in zip(result, self.qpos.numpy(), strict=True):
+            pose[:] = qpos
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
-            row[:] = data.subtree_com[self.character.root]
+            row[:] = centre
         return result
 
     @cached_property
@@ -148,24 +151,34 @@ class Measurements:
     # ------------------------------------------------------------------ contacts
 
     @cached_property
+    def low(self) -> np.ndarray:
+        """(J,) bool: the feet, and what else ever comes near enough to the ground to touch it."""
+        low = np.any(self.heights - self.ground < CONTACT_HEIGHT, axis=0)
+        return low | np.isin(np.arange(low.size), self.feet)
+
+    @cached_property
     def surface(self) -> tuple[np.ndarray, Tensor]:
-        """Points spread over each joint's geoms: whose they are (P,), and where, (F, P, 3)."""
+        """Points spread over the geoms of each :attr:`low` joint: whose they are (P,), in order, and where,
+        (F, P, 3)."""
         owners, points = surface_points(self.character)
+        low = self.low[owners]
+        owners, points = owners[low], points[torch.from_numpy(low)]
         positions, world = self.kinematics
         where = positions[:, owners] + rotations.rotate(world[:, owners], points)
         return owners, where
 
     @cached_property
     def slides(self) -> np.ndarray:
-        """(F - 1, J, 2) m: how far each joint's lowest points move along the ground from frame to
-        frame: of those low in both frames the one that moves least, or the middle of them all, so
-        that a foot which rolls or pivots does not slide."""
+        """(F - 1, J, 2) m: how far each :attr:`low` joint's lowest points move along the ground from frame
+        to frame: of those low in both frames the one that moves least, or the middle of them all, so that
+        a foot which rolls or pivots does not slide."""
         owners, points = self.surface
         height = points[..., 2].numpy()
         moves = points[..., :2].diff(dim=0).numpy()
         result = np.zeros((len(moves), len(self.character.joints), 2))
+        edges = np.searchsorted(owners, np.arange(len(self.character.joints) + 1))
         for joint in np.unique(owners):
-            own = owners == joint
+            own = slice(edges[joint], edges[joint + 1])
             low = height[:, own] <= height[:, own].min(1, keepdims=True) + _LOW
             both = low[:-1] & low[1:]
             # A rolling body has no point that is lowest in both frames.

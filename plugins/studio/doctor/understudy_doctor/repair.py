@@ -10,7 +10,8 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,8 +53,7 @@ WORSE = 1.05
 BALLISTIC_MARGIN = 0.008
 """m by which it may bend a flight away from a parabola: 1 cm, with room for how the centre of mass is measured."""
 _STRAIGHT = 1e6  # times: how much stiffer a curve is where it must be straight
-
-_BodyRepair = Callable[[Clip, Measurements], tuple[Clip, list[str]]]
+_REMEMBERED = 3_000  # frames: of longer clips what steps made is not kept, since it takes much room
 
 
 @dataclass(frozen=True)
@@ -109,14 +109,6 @@ def _harmless(steps: Sequence[_Step], state: _State) -> tuple[_State, tuple[str,
 
 
 @dataclass(frozen=True)
-class _State:
-    """A clip on its way through the repairs."""
-
-    examined: Examination
-    done: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class _Step:
     """A repair, and the findings for which it is made."""
 
@@ -125,24 +117,62 @@ class _Step:
     on_body: bool = True  #: whether it takes a clip and its measurements, or the examination
 
 
-def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
-    """Each of the `steps` that what is found by then asks for."""
-    for step in steps:
-        examined = state.examined
+@dataclass(frozen=True)
+class _State:
+    """A clip on its way through the repairs."""
+
+    examined: Examination
+    done: tuple[str, ...] = ()
+    #: What single steps made of it: they are tried alone, and with others after them.
+    tried: dict[_Step, _State] = field(default_factory=dict, compare=False, repr=False)
+
+    @cached_property
+    def body(self) -> tuple[Clip, Measurements] | None:
+        """What repairs on the body are made of: the clip, of a looping one three cycles, on its character."""
+        clip, character = self.examined.clip, self.examined.character
+        measured = self.examined.measured
+        if character is None or measured is None:
+            return None
+        if clip.loop:
+            clip = _thrice(clip)
+        elif measured.clip is clip and self.examined.level is None:
+            return clip, measured  # nothing of it was interpolated over
+        return clip, Measurements(clip, character)
+
+    def after(self, step: _Step) -> _State:
+        """After one step, if what is found asks for it."""
+        if step not in self.tried:
+            mended, words = self._mended(step)
+            if not words:
+                return self
+            was = self.examined
+            again = examine(mended, was.character, was.floor, was.level)
+            made = _State(again, (*self.done, *words))
+            if was.clip.num_frames > _REMEMBERED:
+                return made
+            self.tried[step] = made
+        return self.tried[step]
+
+    def _mended(self, step: _Step) -> tuple[Clip, list[str]]:
+        examined = self.examined
         kinds = {finding.kind for finding in examined.findings}
         # Where legs are of another length, everything on the ground follows from that.
         if not step.kinds & kinds or (step.on_body and "proportions" in kinds):
-            continue
-        clip, character = examined.clip, examined.character
-        if step.on_body:
-            if character is None or examined.measured is None:
-                continue
-            mended, words = _over_the_seam(clip, character, step.mend)
-        else:
-            mended, words = step.mend(examined)
-        if words:
-            again = examine(mended, character, examined.floor, examined.level)
-            state = _State(again, (*state.done, *words))
+            return examined.clip, []
+        if not step.on_body:
+            return step.mend(examined)
+        if self.body is None:
+            return examined.clip, []
+        mended, words = step.mend(*self.body)
+        if words and examined.clip.loop:
+            mended = _middle(examined.clip, mended)
+        return mended, words
+
+
+def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
+    """Each of the `steps` that what is found by then asks for."""
+    for step in steps:
+        state = state.after(step)
     return state
 
 
@@ -152,6 +182,8 @@ def harm(before: Examination, after: Examination) -> str:
     It must not add findings, neither major ones of any kind nor in all; it must not make the worst of
     a kind worse; and bodies in flight must stay on their parabolas.
     """
+    if after is before:
+        return ""
     if len(after.findings) > len(before.findings):
         return f"it would make {len(before.findings)} findings {len(after.findings)}"
     for kind in sorted({f.kind for f in after.findings}):
@@ -175,15 +207,17 @@ def straying(before: Examination, after: Examination) -> float:
     if abs(new.clip.duration - old.clip.duration) > old.dt:
         was, now = (max(map(_off(m), m.flights), default=0.0) for m in (old, new))
         return now - was
+    if not old.flights:
+        return 0.0
     there = CubicSpline(new.clip.times.numpy(), new.centre)(old.clip.times.numpy())
     return max((_off(old, there)(f) - _off(old)(f) for f in old.flights), default=0.0)
 
 
 def _off(measured: Measurements, centre: np.ndarray | None = None) -> Callable[[Any], float]:
     """How far, m at most, the centre of mass is in a flight from the nearest parabola that falls at g."""
-    path = measured.centre if centre is None else centre
 
     def off(flight: tuple[int, int]) -> float:
+        path = measured.centre if centre is None else centre
         during = slice(flight[0], flight[1] + 1)
         clock = measured.dt * np.arange(flight[1] - flight[0] + 1)
         rest = path[during] + 0.5 * np.array([0.0, 0.0, GRAVITY]) * clock[:, None] ** 2
@@ -427,22 +461,24 @@ def _foot_step(foot: int) -> _Step:
     return _Step(frozenset({"foot_skate", "penetration"}), functools.partial(_mend_foot, foot))
 
 
-def _over_the_seam(clip: Clip, character: Character, mend: _BodyRepair) -> tuple[Clip, list[str]]:
-    """`mend` on a clip, of a looping one on the middle of three cycles."""
-    if not clip.loop:
-        return mend(clip, Measurements(clip, character))
+def _thrice(clip: Clip) -> Clip:
+    """Three cycles of a looping clip, as one that does not loop."""
     steps = clip.num_frames - 1
     times = torch.arange(-steps, 2 * steps + 1, dtype=torch.float64) * (clip.duration / steps)
     position, rotation = sample(clip, times)
-    thrice = replace(
+    return replace(
         clip, times=times - times[0], root_position=position, rotations=rotation, loop=False
     )
-    mended, done = mend(thrice, Measurements(thrice, character))
+
+
+def _middle(clip: Clip, thrice: Clip) -> Clip:
+    """The looping `clip` as the middle one of three repaired cycles has it."""
+    steps = clip.num_frames - 1
     middle = slice(steps, 2 * steps + 1)
-    position, rotation = mended.root_position[middle].clone(), mended.rotations[middle].clone()
+    position, rotation = thrice.root_position[middle].clone(), thrice.rotations[middle].clone()
     # The two cycles beside it were mended a little differently; the seam must be exact.
     turn = rotations.from_heading(torch.tensor(cycle_transform(clip).heading, dtype=torch.float64))
     rotation[-1] = rotation[0]
     rotation[-1, 0] = rotations.multiply(turn, rotation[0, 0])
     position[-1, 2] = position[0, 2]
-    return replace(clip, root_position=position, rotations=rotation), done
+    return replace(clip, root_position=position, rotations=rotation)
