@@ -72,13 +72,15 @@ def minimise(
             length = 0.05 / direction.abs().amax(1).clamp(min=1e-12)
         new, after, turned = point, value, None
         waiting = torch.ones_like(value, dtype=torch.bool)
-        for _ in range(halvings):
-            tried = (point + length[:, None] * direction).clamp(low, high).requires_grad_(True)
-            reached = cost(tried)
+        for halving in range(halvings):
+            tried = (point + length[:, None] * direction).clamp(low, high)
+            # Most often the first is taken: then what was worked out for it has the gradient, too.
+            with torch.set_grad_enabled(halving == 0):
+                reached = cost(tried.requires_grad_(halving == 0))
             found, ahead = reached.detach(), tried.detach()
             enough = found <= value + _ARMIJO * ((ahead - point) * slope).sum(1)
             take = waiting & enough & torch.isfinite(found)
-            if take.all():  # all at the first: what was worked out for it has the gradient, too
+            if halving == 0 and take.all():
                 new, after = ahead, found
                 (turned,) = torch.autograd.grad(reached.sum(), tried)
                 break
