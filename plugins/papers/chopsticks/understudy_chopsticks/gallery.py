@@ -24,7 +24,6 @@ from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_mujoco.drawing import draw_motion
 from understudy_report.charts import Chart, draw_chart
-from understudy_report.markup import check_markup
 from understudy_report.page import html_page
 from understudy_report.pictures import png
 from understudy_sweeps.journal import Journal
@@ -69,7 +68,6 @@ class Gallery(SweepPage):
             "best grip so far, after a second under fixed targets, without its policy; arrows are forces on the sticks, "
             f"{1e3 * _PER_NEWTON:g} mm for each N.</p><div class='grips'>{cards}</div>"
         )
-        check_markup(content)
         path = folder / "gallery.html"
         over = f"understudy gallery of grips · {__version__}"
         page = html_page(title, over, time.strftime("%Y-%m-%d %H:%M"), content, _STYLE)

@@ -30,7 +30,7 @@ from understudy_diversity.strategies import (
     kinds,
 )
 from understudy_report import words
-from understudy_report.markup import check_markup, grid, piece
+from understudy_report.markup import grid, piece
 from understudy_report.page import html_page
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import SweepPage
@@ -82,7 +82,6 @@ class Gallery(SweepPage):
                 _section("All trials", f'<div class="wide">{_table(strategies, options)}</div>'),
             ]
         )
-        check_markup(content)
         path = folder / "gallery.html"
         over = f"understudy gallery · {__version__}"
         page = html_page(title, over, time.strftime("%Y-%m-%d %H:%M"), content, _STYLE)

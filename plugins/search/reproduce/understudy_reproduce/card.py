@@ -17,7 +17,7 @@ from understudy import __version__
 from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy_report import words
-from understudy_report.markup import check_markup, piece
+from understudy_report.markup import piece
 from understudy_report.page import html_page
 from understudy_report.values import mapping
 from understudy_reproduce.records import recorded
@@ -240,7 +240,6 @@ class Card:
         if deviations:
             sections.append(piece("section", "Known deviations", piece("items", deviations)))
         content = "".join(sections)
-        check_markup(content)
         over = f"understudy reproduce {self.name} · {__version__}"
         files = {
             "card.html": html_page(table.title, over, created, content),

@@ -22,7 +22,7 @@ from understudy.setup.plugins import installed
 from understudy.setup.validation import validate
 from understudy_report import words
 from understudy_report.charts import Chart, Series, draw_series
-from understudy_report.markup import check_markup, piece
+from understudy_report.markup import piece
 from understudy_report.page import html_page
 from understudy_reproduce.tables import PaperTable, variant_name
 from understudy_sweeps.curves import legend, mean_curve, style_of
@@ -205,7 +205,6 @@ class Comparison:
         if table.deviations:
             sections.append(piece("section", "Known deviations", piece("items", table.deviations)))
         content = "".join(sections)
-        check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")
         over = f"understudy reproduce {self.name} · {__version__}"
         files = {

@@ -24,7 +24,7 @@ from understudy.errors import UnderstudyError
 from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
-from understudy_report.markup import check_markup, piece
+from understudy_report.markup import piece
 from understudy_report.page import html_page
 from understudy_report.values import Row, mapping
 from understudy_sweeps import search, tables
@@ -160,7 +160,6 @@ class Page:
         if failed:
             sections.append(Section("What failed", table=Table(["trial", "why"], failed)))
         content = "".join([piece("headline", headline), *(s.html() for s in sections)])
-        check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")
         over = f"understudy sweep · {__version__}"
         title = tables.in_markdown(self._title)

@@ -64,12 +64,19 @@ def name_of(run: Run) -> str:
 
 
 def html_page(title: str, over: str, created: str, content: str, style: str = "") -> bytes:
-    """A page of `content`, which is HTML, in the style of all pages and what `style` adds to it."""
+    """A page of `content`, which is HTML, in the style of all pages and what `style` adds to it.
+
+    Raises
+    ------
+    ValueError
+        see `check_markup`, which `content` passes.
+    """
     return bare_page(title, over, created, content, _STYLE + style)
 
 
 def bare_page(title: str, over: str, created: str, content: str, style: str) -> bytes:
-    """A page of `content`, which is HTML, in this `style` alone."""
+    """A page of `content`, which is HTML, in this `style` alone; refused like `html_page`'s."""
+    check_markup(content)
     page = whole_page(
         policy=Markup(_security_policy()),
         style=Markup(style),

@@ -10,7 +10,6 @@ from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy_credits.walk import in_a_line, open_made
 from understudy_report import words
-from understudy_report.markup import check_markup
 from understudy_report.motion import FIGURES, Figures
 from understudy_report.page import html_page, name_of
 from understudy_report.stick_figures import stick_figure_animation
@@ -40,7 +39,6 @@ def write_page(source: str, path: Path) -> str:
         f'<section><div class="card">{player}</div><p>{key}</p>'
         f"<p>{escape(f'Licence: {licence}. {attribution}')}</p></section>"
     )
-    check_markup(content)
     created = words.text(run.info.get("created", ""))[:16].replace("T", " ")
     write_atomically(path, html_page(name_of(run), "understudy export", created, content))
     seconds = len(figures.learned) * figures.dt
