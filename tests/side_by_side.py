@@ -1,8 +1,7 @@
-"""All tests of ``make test``, in two processes side by side, about half of them each.
+"""All tests of ``make test``, in as many processes as there are groups at hand, two at a time.
 
-Not pytest-xdist: its workers take signals that the tests of stop signals send. No more processes than that: each
-imports everything, starts the servers that tests fork from, and settles garments and generates clips once. A line of
-progress is shown when it is whole; what is said of failures, when the process ends::
+Not pytest-xdist: its workers take signals that the tests of stop signals send. A group is a process of its
+own, so nothing is shared but the machine; what it prints is shown when it ends::
 
     python tests/side_by_side.py [options of pytest]
 """
@@ -21,20 +20,24 @@ from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent
 SIDE_BY_SIDE = 2
+#: What takes longest by itself, and so begins first.
+LONG = ("faults", "test_parts_and_tasks.py")
+#: The plugins' folders are dealt to so many groups; each imports everything once.
+PLUGIN_GROUPS = 3
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
 def groups() -> list[list[Path]]:
-    """What each process runs, about as many lines; together it is everything in ``tests``."""
-    dealt: list[list[Path]] = [[] for _ in range(SIDE_BY_SIDE)]
-    sizes = [0] * SIDE_BY_SIDE
-    found = [*TESTS.iterdir(), *(TESTS / "plugins").iterdir()]
-    tests = [path for path in found if is_tests(path) and path.name != "plugins"]
-    for path in sorted(tests, key=lambda path: (-lines(path), path)):
+    """What each process runs, what takes longest first; together it is everything in ``tests``."""
+    plugins: list[list[Path]] = [[] for _ in range(PLUGIN_GROUPS)]
+    sizes = [0] * PLUGIN_GROUPS
+    found = [path for path in (TESTS / "plugins").iterdir() if is_tests(path)]
+    for path in sorted(found, key=lines, reverse=True):
         least = sizes.index(min(sizes))
-        dealt[least].append(path)
+        plugins[least].append(path)
         sizes[least] += lines(path)
-    return [sorted(group) for group in dealt]
+    rest = [p for p in TESTS.iterdir() if is_tests(p) and p.name not in (*LONG, "plugins")]
+    return [*([TESTS / name] for name in LONG), *plugins, sorted(rest)]
 
 
 def is_tests(path: Path) -> bool:
@@ -67,29 +70,27 @@ def processor_seconds() -> float:
 
 def main(options: list[str]) -> int:
     adopt_orphans()
-    failed, lock = [], threading.Lock()
+    waiting, failed, lock = groups(), [], threading.Lock()
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # a core for each process
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes read the same files
 
-    def work(group: list[Path]) -> None:
-        command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
-        said = []
-        with subprocess.Popen(
-            command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        ) as process:  # fmt: skip
-            assert process.stdout is not None
-            for line in process.stdout:
-                if said or (line.startswith("====") and "test session starts" not in line):
-                    said.append(line)
-                else:
-                    print(line, end="", flush=True)
-        with lock:
-            print(*said, sep="", flush=True)
-            if process.returncode not in (0, 5):  # 5: no test of it was asked for
-                failed.append(group)
+    def work() -> None:
+        while True:
+            with lock:
+                if not waiting:
+                    return
+                group = waiting.pop(0)
+            command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
+            done = subprocess.run(
+                command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            with lock:
+                print(done.stdout, flush=True)
+                if done.returncode not in (0, 5):  # 5: no test of it was asked for
+                    failed.append(group)
 
-    workers = [threading.Thread(target=work, args=(group,)) for group in groups()]
+    workers = [threading.Thread(target=work) for _ in range(SIDE_BY_SIDE)]
     for worker in workers:
         worker.start()
     for worker in workers:
