@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rows import append
 
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
@@ -92,8 +93,7 @@ def main() -> None:
                     "when": time.strftime("%Y-%m-%d"), "table": given.table, "column": column, "search": search,
                     "reported": best[1], "seed": seed, **anew(best[0], fidelity, seed, kept, scale),
                 }  # fmt: skip
-                with RESULTS.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
+                append(RESULTS, row)
     rows = [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
     groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     for row in rows:

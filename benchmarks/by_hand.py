@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import json
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
+from rows import append
 from torch import Tensor
 
 from understudy.setup.building import build_environment
@@ -120,8 +120,7 @@ def main() -> None:
         "area_ratio_until_then": before.tolist(), "area_ratio": whole.tolist(),
     }  # fmt: skip
     print(row)
-    with RECORD.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+    append(RECORD, row)
 
 
 if __name__ == "__main__":

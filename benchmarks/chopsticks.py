@@ -21,6 +21,7 @@ from typing import Any
 import mujoco_warp as mjw
 import torch
 import warp as wp
+from rows import append
 
 from understudy.records.runs import versions
 from understudy.running.training import Training
@@ -146,8 +147,7 @@ def main() -> None:
         "overrides": options.overrides,
         "rows": rows,
     }
-    with open(options.out, "a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+    append(options.out, record)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ largest strain, area ratio and depth within the arm that the first worlds had on
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import time
@@ -25,6 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 import warp as wp
+from rows import append
 
 from understudy.records.runs import versions
 from understudy.task import Context
@@ -332,9 +332,7 @@ def main() -> None:
         if "newton" in speeds:
             record["cloth_to_newton"] = speeds["cloth"][0] / speeds["newton"][0]
             print(f"cloth / newton: {record['cloth_to_newton']:.1f}")
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        with open(options.out, "a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
+        append(options.out, record)
 
 
 def _version(name: str) -> str | None:

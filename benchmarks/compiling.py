@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rows import append
 
 import understudy_warp_torch.kernels as kernels
 from understudy.records.runs import versions
@@ -75,8 +76,7 @@ def main() -> None:
             for state in states:
                 row = {"cache": state, **alone(side_by_side, cache, options.overrides)}
                 print(json.dumps(row), flush=True)
-                with open(options.out, "a", encoding="utf-8") as file:
-                    file.write(json.dumps({**about, **row}) + "\n")
+                append(options.out, {**about, **row})
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from rows import append
 from scipy import stats
 
 from understudy.options import make_options
@@ -149,8 +150,7 @@ def compare(seeds: int, run: Callable[..., Any]) -> None:
                 row[name]["more_than_random"] = mean_interval(more)
         row |= {"date": datetime.date.today().isoformat(), "python": platform.python_version()}
         print(json.dumps(row))
-        with RESULTS.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        append(RESULTS, row)
 
 
 def time_ask() -> None:

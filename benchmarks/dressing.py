@@ -11,7 +11,6 @@ themselves; on a CPU by processor time, so that other work beside it costs nothi
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import time
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rows import append
 
 from understudy.records.runs import versions
 from understudy.setup.building import build_environment
@@ -141,9 +141,7 @@ def main() -> None:
                 **({"kernels": kernels} if kernels else {}),
                 "versions": versions(),
             }
-            options.out.parent.mkdir(parents=True, exist_ok=True)
-            with open(options.out, "a", encoding="utf-8") as file:
-                file.write(json.dumps(record) + "\n")
+            append(options.out, record)
 
 
 if __name__ == "__main__":

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import json
 from pathlib import Path
 
 import torch
+from rows import append
 from torch import Tensor
 
 from understudy.setup.building import build_environment
@@ -92,8 +92,7 @@ def main() -> None:
             "others": options.worlds - 1, "replay": int(others.sum()),
         }  # fmt: skip
         print(row, flush=True)
-        with options.record.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        append(options.record, row)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import torch
 from by_hand import _GAINS, _TORQUES, WORDS
+from rows import append
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -90,8 +91,7 @@ def main() -> None:
         "dressed_by_torques": sum(one is not None for one in found["dressed"]), **found,
     }  # fmt: skip
     print(record)
-    with RECORD.open("a") as file:
-        file.write(json.dumps(record) + "\n")
+    append(RECORD, record)
 
 
 if __name__ == "__main__":

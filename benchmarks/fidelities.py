@@ -29,6 +29,7 @@ from typing import Any
 
 import jumps
 import torch
+from rows import append
 from scipy import stats
 
 from understudy.setup.composition import load_experiment
@@ -249,8 +250,7 @@ def main() -> None:
         waiting = [pool.submit(train, *job, until) for job in jobs if job not in known]
         for future in as_completed(waiting):
             if (found := future.result()) is not None:
-                with TRAININGS.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(found) + "\n")
+                append(TRAININGS, found)
 
 
 if __name__ == "__main__":

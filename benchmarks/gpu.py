@@ -18,6 +18,7 @@ from typing import Any
 
 import torch
 from mjlab_speed import asked
+from rows import append
 
 from understudy.records.runs import versions
 from understudy.running.training import Training
@@ -123,8 +124,7 @@ def main() -> None:
         "rows": rows,
         "peer": peer,
     }
-    with open(options.out, "a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+    append(options.out, record)
 
 
 if __name__ == "__main__":

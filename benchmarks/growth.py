@@ -39,6 +39,7 @@ from typing import Any
 import understudy_mujoco  # isort: skip  # noqa: F401 - before torch, to tell its threads how to wait
 import numpy as np
 import torch
+from rows import append
 from scipy import stats
 
 from understudy.records import runs
@@ -326,8 +327,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     record["beyond"] = beyond(found["watched"])
     print(json.dumps(record))
     if options.out:
-        with options.out.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
+        append(options.out, record)
     return int(bool(record["beyond"]))
 
 

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rows import append
 
 from understudy import random
 from understudy.options import make_options
@@ -90,8 +91,7 @@ class Jumps:
             if (found := end.result()) is None:
                 continue
             row = {"take_off": take_off, "repeat": missing[end], **found}
-            with self._file.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+            append(self._file, row)
             self._known[take_off, missing[end]] = row
             shutil.rmtree(self._runs / f"{self._file.stem}_{take_off}_{missing[end]}")
         known = (self._known.get((take_off, i)) for i in range(len(seeds)))

@@ -11,13 +11,13 @@ from __future__ import annotations
 import argparse
 import datetime
 import itertools
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from rows import append
 from scipy.spatial import KDTree
 
 from understudy.setup.building import build_environment
@@ -76,8 +76,7 @@ def main() -> None:
     for room in options.rooms:
         row = layered(room, options.worlds, options.decisions, options.noise)
         print(row, flush=True)
-        with RECORD.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        append(RECORD, row)
 
 
 if __name__ == "__main__":

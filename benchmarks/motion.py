@@ -18,6 +18,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from rows import append
+
 from understudy.setup.plugins import installed
 from understudy_characters.character import load_character
 from understudy_motion import library
@@ -72,8 +74,7 @@ def main() -> None:
         "mean_key_point_error_m": round(report.mean_error, 4),
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
     }
-    with options.out.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+    append(options.out, row)
     print(json.dumps(row))
 
 

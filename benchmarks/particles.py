@@ -10,7 +10,6 @@ particle-sub-steps per second and their ratio, and appends them to ``docs/benchm
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import statistics
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from rows import append
 
 from understudy.records.runs import versions
 from understudy.task import Context
@@ -221,9 +221,7 @@ def main() -> None:
         )
         record["pbd_to_newton"] = ratio
         print(f"pbd / newton: {ratio:.1f}")
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    with open(options.out, "a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+    append(options.out, record)
 
 
 if __name__ == "__main__":

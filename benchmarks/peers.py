@@ -4,7 +4,7 @@ evaluation for both sides, and the record of a comparison."""
 from __future__ import annotations
 
 import argparse
-import json
+import pkgutil
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +15,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from rows import append
 from torch import Tensor
 
 from understudy.random import WorldStreams, private_rng
@@ -27,8 +28,6 @@ from understudy_reinforcement.policy import Policy
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks"
 ENVIRONMENTS, STEPS, HIDDEN = 8, 256, (64, 64)
-
-MakeLearner = Callable[[Context, Policy], Learner]
 
 
 class Collector:
@@ -93,15 +92,15 @@ def _tensor(value: np.ndarray) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float32)
 
 
-def train_ours(task: str, samples: int, seed: int, make_learner: MakeLearner) -> float:
-    """Mean return of the deterministic policy after `samples`."""
+def train_ours(task: str, samples: int, seed: int, kind: Any, options: Any) -> float:
+    """Mean return of the deterministic policy that a learner of this `kind` makes with its `options` of `samples`."""
     collector = Collector(task, seed)
     with private_rng(seed, "policy"):
-        options = MLPPolicy.Options(
+        networks = MLPPolicy.Options(
             hidden=HIDDEN, activation="tanh", noise=Schedule(1.0, 1.0), learn_noise=True
         )
-        policy = MLPPolicy(options, collector.context)
-    learner = make_learner(collector.context, policy)
+        policy = MLPPolicy(networks, collector.context)
+    learner: Learner = kind(options, collector.context, policy)
     for _ in range(samples // (ENVIRONMENTS * STEPS)):
         rollout = collector.collect(policy)
         learner.update(rollout)
@@ -161,29 +160,30 @@ def evaluate(task: str, act: Callable[[np.ndarray], Any], seed: int, episodes: i
 
 def compare(
     description: str,
-    make_learner: MakeLearner,
-    find_peer: Callable[[], Any],
+    kind: Any,
+    own_options: Any,
+    peer: str,
     hyperparameters: Mapping[str, Any],
     out: Path,
-    samples: int,
 ) -> None:
-    """Train our learner, and the peer's algorithm with its `hyperparameters`, with every seed; print returns
-    and means, append them to `out`."""
+    """Train a learner of this `kind` with `own_options`, and the algorithm `peer` (``module:name``) with its `hyperparameters`, with every seed;
+    print returns and means, append them to `out`."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--task", default="Hopper-v5")
-    parser.add_argument("--samples", type=int, default=samples)
+    parser.add_argument("--samples", type=int, default=200_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3])
     parser.add_argument("--only", choices=("ours", "sb3"))
     parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args()
 
     def ours(seed: int) -> float:
-        return train_ours(options.task, options.samples, seed, make_learner)
+        return train_ours(options.task, options.samples, seed, kind, own_options)
 
     def theirs(seed: int) -> float:
-        return train_peer(options.task, options.samples, seed, find_peer(), **hyperparameters)
+        algorithm = pkgutil.resolve_name(peer)
+        return train_peer(options.task, options.samples, seed, algorithm, **hyperparameters)
 
     found: dict[str, list[float]] = {}
     for name, train in (("ours", ours), ("sb3", theirs)):
@@ -207,5 +207,4 @@ def compare(
         "returns": found,
         "versions": versions(),
     }
-    with open(options.out, "a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+    append(options.out, record)

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from rows import append
 
 from understudy.records.runs import versions
 from understudy.setup.plugins import installed
@@ -98,8 +99,7 @@ def main() -> None:
         "reasons": dict(reasons),
     }
     print(json.dumps(row))
-    with open(options.out, "a", encoding="utf-8") as file:
-        file.write(json.dumps(row) + "\n")
+    append(options.out, row)
 
 
 def _percentiles(seconds: list[float]) -> list[float]:

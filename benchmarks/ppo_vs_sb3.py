@@ -7,34 +7,25 @@ seed's mean return and both means with standard errors, and appends them to
 
 from __future__ import annotations
 
-from typing import Any
-
 from peers import ENVIRONMENTS, RESULTS, STEPS, compare
 
-from understudy.task import Context
 from understudy_ppo.learner import PPO
-from understudy_reinforcement.policy import Policy
 
 EPOCHS, MINIBATCHES = 10, 32
 GAMMA, LAMBDA, RATE, CLIP = 0.99, 0.95, 3e-4, 0.2
 
-
-def make_learner(context: Context, policy: Policy) -> PPO:
-    options = PPO.Options(
-        rollout_steps=STEPS,
-        epochs=EPOCHS,
-        minibatches=MINIBATCHES,
-        gamma=GAMMA,
-        gae_lambda=LAMBDA,
-        td_lambda=LAMBDA,
-        clip=CLIP,
-        actor_learning_rate=RATE,
-        critic_learning_rate=RATE,
-        max_gradient_norm=0.5,
-    )
-    return PPO(options, context, policy)
-
-
+OURS = PPO.Options(
+    rollout_steps=STEPS,
+    epochs=EPOCHS,
+    minibatches=MINIBATCHES,
+    gamma=GAMMA,
+    gae_lambda=LAMBDA,
+    td_lambda=LAMBDA,
+    clip=CLIP,
+    actor_learning_rate=RATE,
+    critic_learning_rate=RATE,
+    max_gradient_norm=0.5,
+)
 #: The same, by the peer's names.
 THEIRS = {
     "batch_size": ENVIRONMENTS * STEPS // MINIBATCHES,
@@ -46,11 +37,5 @@ THEIRS = {
 }
 
 
-def find_peer() -> Any:
-    from stable_baselines3 import PPO as PeerPPO
-
-    return PeerPPO
-
-
 if __name__ == "__main__":
-    compare(__doc__ or "", make_learner, find_peer, THEIRS, RESULTS / "ppo_vs_sb3.jsonl", 200_000)
+    compare(__doc__ or "", PPO, OURS, "stable_baselines3:PPO", THEIRS, RESULTS / "ppo_vs_sb3.jsonl")

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rows import append
 
 import understudy_sweeps.in_process
 from understudy.command.cli import main
@@ -137,5 +138,4 @@ if __name__ == "__main__":
             "python": platform.python_version(),
             "torch": torch.__version__,
         }
-        with open(RESULTS, "a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        append(RESULTS, row)

@@ -32,6 +32,7 @@ from botorch.models import SingleTaskGP
 from botorch.optim import optimize_acqf
 from botorch.test_functions.multi_fidelity import AugmentedBranin, AugmentedHartmann
 from gpytorch.mlls import ExactMarginalLogLikelihood
+from rows import append
 from scipy import stats
 from torch import Tensor
 
@@ -287,8 +288,7 @@ def compare(
                 "searches": rows,
                 "versions": _versions(),
             }
-            with open(RESULTS, "a", encoding="utf-8") as file:
-                file.write(json.dumps(record) + "\n")
+            append(RESULTS, record)
 
 
 def time_asks(save: bool) -> None:

@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import torch
+from rows import append
 
 from understudy.records.runs import versions
 
@@ -96,8 +97,7 @@ def main() -> None:
         "cores": os.cpu_count(), "versions": versions(), "overrides": options.overrides,
         "minutes": options.minutes, "found": found,
     }  # fmt: skip
-    with RESULTS.open("a") as file:
-        file.write(json.dumps(machine) + "\n")
+    append(RESULTS, machine)
 
 
 if __name__ == "__main__":

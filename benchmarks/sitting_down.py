@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from rows import append
 from torch import Tensor
 
 from understudy.setup.composition import load_experiment
@@ -106,8 +107,7 @@ def main() -> None:
         found = row(sitter, given.episodes, given.note, given.words, given.machine)
         print(json.dumps(found), flush=True)
         if given.note:
-            with RESULTS.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(found) + "\n")
+            append(RESULTS, found)
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import json
 from pathlib import Path
 
 import torch
+from rows import append
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -64,8 +64,7 @@ def main() -> None:
     for noise in words.noise:
         row = stretched(words.task, noise, words.worlds, words.decisions, words.others)
         print(row, flush=True)
-        with RECORD.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        append(RECORD, row)
 
 
 if __name__ == "__main__":

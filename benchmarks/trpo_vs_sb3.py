@@ -7,37 +7,28 @@ evaluation. Prints each seed's mean return and both means with standard errors, 
 
 from __future__ import annotations
 
-from typing import Any
-
 from peers import RESULTS, STEPS, compare
 
-from understudy.task import Context
-from understudy_reinforcement.policy import Policy
 from understudy_trpo.learner import TRPO
 
 GAMMA, LAMBDA, KL_LIMIT, RATE = 0.99, 0.95, 0.01, 1e-3
 CG_STEPS, DAMPING, SEARCH_STEPS, SHRINK = 15, 0.1, 10, 0.8
 VALUE_EPOCHS, VALUE_BATCH = 10, 128
 
-
-def make_learner(context: Context, policy: Policy) -> TRPO:
-    options = TRPO.Options(
-        rollout_steps=STEPS,
-        gamma=GAMMA,
-        gae_lambda=LAMBDA,
-        td_lambda=LAMBDA,
-        kl_limit=KL_LIMIT,
-        conjugate_gradient_steps=CG_STEPS,
-        damping=DAMPING,
-        line_search_steps=SEARCH_STEPS,
-        line_search_shrink=SHRINK,
-        value_epochs=VALUE_EPOCHS,
-        value_batch_size=VALUE_BATCH,
-        critic_learning_rate=RATE,
-    )
-    return TRPO(options, context, policy)
-
-
+OURS = TRPO.Options(
+    rollout_steps=STEPS,
+    gamma=GAMMA,
+    gae_lambda=LAMBDA,
+    td_lambda=LAMBDA,
+    kl_limit=KL_LIMIT,
+    conjugate_gradient_steps=CG_STEPS,
+    damping=DAMPING,
+    line_search_steps=SEARCH_STEPS,
+    line_search_shrink=SHRINK,
+    value_epochs=VALUE_EPOCHS,
+    value_batch_size=VALUE_BATCH,
+    critic_learning_rate=RATE,
+)
 #: The same, by the peer's names.
 THEIRS = {
     "batch_size": VALUE_BATCH,
@@ -53,11 +44,5 @@ THEIRS = {
 }
 
 
-def find_peer() -> Any:
-    from sb3_contrib import TRPO as PeerTRPO
-
-    return PeerTRPO
-
-
 if __name__ == "__main__":
-    compare(__doc__ or "", make_learner, find_peer, THEIRS, RESULTS / "trpo_vs_sb3.jsonl", 200_000)
+    compare(__doc__ or "", TRPO, OURS, "sb3_contrib:TRPO", THEIRS, RESULTS / "trpo_vs_sb3.jsonl")

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rows import append
 from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -279,8 +280,7 @@ def main() -> None:
             **measure(options, CASES[name]),
         }
         print(json.dumps({k: v for k, v in row.items() if k != "versions"}), flush=True)
-        with open(options.output, "a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        append(options.output, row)
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ MODULES = sorted(
 WIDTH = 100
 #: Kinds whose parts are files beside the code, found by listing their folder.
 LISTED = {"skill"}
-#: Calls that a hook may make: what it registers has to be found out.
-FOUND_OUT = {"register_skills"}
+#: What may make a hook: what these register has to be found out.
+FOUND_OUT = {"skills_beside"}
 
 
 def faults(text: str) -> Iterator[str]:
@@ -34,9 +34,11 @@ def faults(text: str) -> Iterator[str]:
         if isinstance(node, ast.Attribute) and node.attr == "component":
             yield f"line {node.lineno}: register.component; write a row of PARTS"
         if isinstance(node, ast.FunctionDef) and node.name.startswith("understudy_"):
-            calls = {getattr(c.func, "id", "") for c in ast.walk(node) if isinstance(c, ast.Call)}
-            if not calls & FOUND_OUT:
-                yield f"line {node.lineno}: {node.name} does what a table can; write a table"
+            yield f"line {node.lineno}: {node.name} does what a table can; write a table"
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]).startswith("understudy_"):
+            made_by = ast.unparse(getattr(node.value, "func", node.value))
+            if made_by not in FOUND_OUT:
+                yield f"line {node.lineno}: {made_by} does what a table can; write a table"
     for kinds in tables(tree):
         for rows in kinds.values:
             if not isinstance(rows, ast.Dict):
@@ -107,8 +109,8 @@ def test_others_are_refused(row: str, fault: str | None) -> None:
 def test_hooks_that_a_table_replaces_are_refused() -> None:
     single = 'def understudy_register(register):\n    register.task("a/b", "c")\n'
     assert [line for line in faults(single) if "write a table" in line]
-    listed = "def understudy_register(register):\n    register_skills(register, Path())\n"
-    assert list(faults(listed)) == []
+    assert [line for line in faults("understudy_register = my_hook\n") if "write a table" in line]
+    assert list(faults("understudy_register = skills_beside(__file__)\n")) == []
 
 
 def test_single_calls_are_refused() -> None:

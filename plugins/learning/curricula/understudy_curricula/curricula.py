@@ -48,15 +48,15 @@ class Knots:
         return knots[-1][1]
 
 
-class _Stage:
-    """The present difficulty, on the device too, changed in place."""
+class _OfDifficulty(Curriculum):
+    """The present difficulty, on the device too, changed in place; and what follows from it."""
 
     def __init__(self, difficulty: float, knots: Knots, context: Context) -> None:
         self.knots = knots
         self._on_device = {"difficulty": torch.zeros(context.num_worlds, device=context.device)}
         if knots.episode_limit:
             self._on_device["episode_limit"] = torch.zeros_like(self._on_device["difficulty"])
-        self.provides: dict[str, Shape] = {name: () for name in self._on_device}
+        self.provides: Mapping[str, Shape] = {name: () for name in self._on_device}
         self.move(difficulty)
 
     def move(self, difficulty: float) -> None:
@@ -65,17 +65,17 @@ class _Stage:
         if self.knots.episode_limit:
             self._on_device["episode_limit"].fill_(self.knots.limit_at(difficulty))
 
-    def begin(self) -> dict[str, Tensor]:
+    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
         return dict(self._on_device)
 
     def decision(self) -> int | None:
         return self.knots.decision_at(self.difficulty)
 
-    def __str__(self) -> str:
+    def stage(self) -> str:
         return f"difficulty {self.difficulty:.2f}"
 
 
-class Linear(Curriculum):
+class Linear(_OfDifficulty):
     """Difficulty rises evenly over the first ``samples`` of a training to the task's."""
 
     @dataclass(frozen=True)
@@ -92,38 +92,28 @@ class Linear(Curriculum):
         self._options, self._target = options, context.difficulty
         self._samples = 0
         first = context.difficulty if context.evaluating else options.start
-        self._stage = _Stage(first, options.knots, context)
-        self.provides: Mapping[str, Shape] = self._stage.provides
-
-    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
-        return self._stage.begin()
-
-    def decision(self) -> int | None:
-        return self._stage.decision()
+        super().__init__(first, options.knots, context)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        options, before = self._options, self._stage.decision()
+        options, before = self._options, self.decision()
         done = self._samples >= options.samples
         self._samples += rollout.rewards.numel() * distributed.size()
         share = min(1.0, self._samples / options.samples)
-        self._stage.move(options.start + (self._target - options.start) * share)
-        found = {"difficulty": self._stage.difficulty}
-        if (share == 1.0 and not done) or before != self._stage.decision():
-            found[f"mark/{self._stage}"] = 1.0
+        self.move(options.start + (self._target - options.start) * share)
+        found = {"difficulty": self.difficulty}
+        if (share == 1.0 and not done) or before != self.decision():
+            found[f"mark/{self.stage()}"] = 1.0
         return found
 
-    def stage(self) -> str:
-        return str(self._stage)
-
     def state_dict(self) -> State:
-        return {"samples": self._samples, "difficulty": self._stage.difficulty}
+        return {"samples": self._samples, "difficulty": self.difficulty}
 
     def load_state_dict(self, state: State) -> None:
         self._samples = state["samples"]
-        self._stage.move(state["difficulty"])
+        self.move(state["difficulty"])
 
 
-class Adaptive(Curriculum):
+class Adaptive(_OfDifficulty):
     """Difficulty rises by a step whenever recent episodes went well enough, to the task's.
 
     They are judged together, ``episodes`` or more at a time, by their mean return or the share that
@@ -149,18 +139,11 @@ class Adaptive(Curriculum):
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._target = options, context.difficulty
         self.rollout_fields = (options.counts,) if options.counts else ()
-        self._judged = Judged(options.episodes)
+        self._judged = Judged(options.episodes, options.by, options.threshold)
         first = context.difficulty if context.evaluating else min(options.start, self._target)
-        self._stage = _Stage(first, options.knots, context)
+        super().__init__(first, options.knots, context)
         # Worlds whose present episode began before the last step.
         self._older = torch.zeros(context.num_worlds, dtype=torch.bool, device=context.device)
-        self.provides: Mapping[str, Shape] = self._stage.provides
-
-    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
-        return self._stage.begin()
-
-    def decision(self) -> int | None:
-        return self._stage.decision()
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self._options
@@ -172,29 +155,23 @@ class Adaptive(Curriculum):
         self._older &= ~ended.any(0)
         succeeded = (rollout.terminated & ~rollout.failed).float()
         score = succeeded if options.by == "success" else rollout.episode_returns
-        found: dict[str, float] = {"difficulty": self._stage.difficulty}
-        mean = self._judged.digest(counted, score)
-        if mean is None:
-            return found
-        found[options.by] = mean
-        if mean >= options.threshold and self._stage.difficulty < self._target:
-            self._stage.move(min(self._target, self._stage.difficulty + options.step))
+        metrics, passed = self._judged.digest(counted, score)
+        found = {"difficulty": self.difficulty, **metrics}
+        if passed and self.difficulty < self._target:
+            self.move(min(self._target, self.difficulty + options.step))
             self._older.fill_(True)
-            found |= {"difficulty": self._stage.difficulty, f"mark/{self._stage}": 1.0}
+            found |= {"difficulty": self.difficulty, f"mark/{self.stage()}": 1.0}
         return found
-
-    def stage(self) -> str:
-        return str(self._stage)
 
     def state_dict(self) -> State:
         return {
-            "difficulty": self._stage.difficulty, **self._judged.state_dict(),
+            "difficulty": self.difficulty, **self._judged.state_dict(),
             "older": self._older.nonzero().flatten().tolist(),
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
         self._judged.load_state_dict(state)
-        self._stage.move(state["difficulty"])
+        self.move(state["difficulty"])
         older = torch.tensor(state["older"], dtype=torch.long, device=self._older.device)
         self._older.zero_()
         self._older[older[older < len(self._older)]] = True  # there may be fewer worlds now

@@ -17,21 +17,23 @@ def totals(*values: Tensor) -> list[float]:
 
 
 class Judged:
-    """The scores of episodes that ended, `episodes` or more of which are judged together."""
+    """Whether episodes go well: `episodes` or more that ended are judged together, by whether the mean of their
+    scores, the metric `name`, reaches `threshold`."""
 
-    def __init__(self, episodes: int) -> None:
+    def __init__(self, episodes: int, name: str, threshold: float) -> None:
         self._least, self._ended, self._total = episodes, 0, 0.0
+        self._name, self._threshold = name, threshold
 
-    def digest(self, counted: Tensor, score: Tensor) -> float | None:
-        """With the `score` (T, N) of the `counted` (T, N) bool ones: their mean, once there are enough,
-        which then count no more; else None."""
+    def digest(self, counted: Tensor, score: Tensor) -> tuple[dict[str, float], bool]:
+        """With the `score` (T, N) of the `counted` (T, N) bool ones: the metric and whether it reaches the
+        threshold, once there are enough, which then count no more; else no metric, and False."""
         ended, total = totals(counted, torch.where(counted, score, 0.0))
         self._ended, self._total = self._ended + int(ended), self._total + total
         if self._ended < self._least:
-            return None
+            return {}, False
         mean = self._total / self._ended
         self._ended, self._total = 0, 0.0
-        return mean
+        return {self._name: mean}, mean >= self._threshold
 
     def state_dict(self) -> State:
         return {"ended": self._ended, "total": self._total}

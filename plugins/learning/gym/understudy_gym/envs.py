@@ -27,14 +27,7 @@ from understudy.errors import ConfigError
 from understudy.running.soundness import rows
 from understudy.running.step import Step
 from understudy.setup.plugins import installed
-from understudy_gym.worlds import (
-    RENDER_MODES,
-    Worlds,
-    check_reset,
-    columns,
-    flattened,
-    known_render_mode,
-)
+from understudy_gym.worlds import RENDER_MODES, Worlds, check_reset, columns, flattened
 
 
 def register_envs() -> None:
@@ -54,16 +47,9 @@ class UnderstudyEnv(gymnasium.Env):
     Parameters
     ----------
     task, overrides, settings
-        as :class:`~understudy_gym.worlds.Worlds` has them.
+        as :class:`~understudy_gym.worlds.Worlds` has them, with its errors.
     flat
         observations side by side in one row, in the order of the configuration.
-    render_mode
-        ``rgb_array`` or None.
-
-    Raises
-    ------
-    ConfigError
-        for a task, an override or a value that is not possible.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
@@ -74,11 +60,10 @@ class UnderstudyEnv(gymnasium.Env):
         overrides: Sequence[str] = (),
         *,
         flat: bool = False,
-        render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        self.render_mode = known_render_mode(render_mode)
         self.worlds = Worlds(task, 1, overrides, **settings)
+        self.render_mode = self.worlds.render_mode
         self.metadata = _metadata(self.worlds)
         self._flat = flat
         self.observation_space = self.worlds.observation_space(flat)
@@ -116,7 +101,8 @@ class UnderstudyEnv(gymnasium.Env):
 
     def render(self) -> Any:
         """(height, width, 3) uint8, or None without a render mode."""
-        return self.worlds.draw(0) if self.render_mode else None
+        pictures = self.worlds.pictures()
+        return pictures[0] if pictures else None
 
     def close(self) -> None:
         self.worlds.environment.close()
@@ -131,7 +117,7 @@ class UnderstudyVectorEnv(VectorEnv):
 
     Parameters
     ----------
-    task, overrides, settings, flat, render_mode
+    task, overrides, settings, flat
         as :class:`UnderstudyEnv` has them.
     autoreset_mode
         when an ended world begins its next episode, Gymnasium's. ``NEXT_STEP``, its
@@ -143,7 +129,7 @@ class UnderstudyVectorEnv(VectorEnv):
     Raises
     ------
     ConfigError
-        for a task, an override or a value that is not possible.
+        for another ``autoreset_mode``.
     """
 
     def __init__(
@@ -153,13 +139,12 @@ class UnderstudyVectorEnv(VectorEnv):
         overrides: Sequence[str] = (),
         *,
         flat: bool = False,
-        render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **settings: Any,
     ) -> None:
-        self.render_mode = known_render_mode(render_mode)
         self._mode = _mode(autoreset_mode)
         self.worlds = Worlds(task, num_envs, overrides, **settings)
+        self.render_mode = self.worlds.render_mode
         self.num_envs, self._flat = num_envs, flat
         self.metadata = {**_metadata(self.worlds), "autoreset_mode": self._mode}
         self.single_observation_space = self.worlds.observation_space(flat)
@@ -272,9 +257,7 @@ class UnderstudyVectorEnv(VectorEnv):
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """One picture a world, (height, width, 3) uint8, or None without a render mode."""
-        if not self.render_mode:
-            return None
-        return tuple(self.worlds.draw(world) for world in range(self.num_envs))
+        return self.worlds.pictures()
 
     def close_extras(self, **kwargs: Any) -> None:
         self.worlds.environment.close()

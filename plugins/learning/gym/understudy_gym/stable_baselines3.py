@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from understudy_gym.worlds import Worlds, columns, flattened, known_render_mode
+from understudy_gym.worlds import Worlds, columns, flattened
 
 __all__ = ["UnderstudyVecEnv"]
 
@@ -28,26 +28,12 @@ class UnderstudyVecEnv(VecEnv):
     Parameters
     ----------
     task, overrides, settings
-        as :class:`~understudy_gym.worlds.Worlds` has them.
-    render_mode
-        ``rgb_array`` or None.
-
-    Raises
-    ------
-    ConfigError
-        for a task, an override or a value that is not possible.
+        as :class:`~understudy_gym.worlds.Worlds` has them, with its errors.
     """
 
     def __init__(
-        self,
-        task: str,
-        num_envs: int = 1,
-        overrides: Sequence[str] = (),
-        *,
-        render_mode: str | None = None,
-        **settings: Any,
+        self, task: str, num_envs: int = 1, overrides: Sequence[str] = (), **settings: Any
     ) -> None:
-        self._mode = known_render_mode(render_mode)
         self.worlds = Worlds(task, num_envs, overrides, **settings)
         space = self.worlds.action_space()
         super().__init__(num_envs, self.worlds.observation_space(flat=True), space)
@@ -79,11 +65,10 @@ class UnderstudyVecEnv(VecEnv):
         self.worlds.environment.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        drawn = self._mode is not None
-        return [self.worlds.draw(world) if drawn else None for world in range(self.num_envs)]
+        return self.worlds.pictures() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        value = self._mode if attr_name == "render_mode" else getattr(self, attr_name)
+        value = getattr(self.worlds if attr_name == "render_mode" else self, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:

@@ -26,21 +26,6 @@ Actions = Literal["scaled", "raw"]
 RENDER_MODES = ("rgb_array",)
 
 
-def known_render_mode(mode: str | None) -> str | None:
-    """`mode`, one of :data:`RENDER_MODES` or None.
-
-    Raises
-    ------
-    ConfigError
-        if it is another one.
-    """
-    if mode is not None and mode not in RENDER_MODES:
-        raise ConfigError(
-            f"render_mode={mode!r} is not possible: there is {', '.join(RENDER_MODES)}."
-        )
-    return mode
-
-
 class ActionScale:
     """The affine map from actions in [-1, 1] to those of a task: around + reach · a, column by column.
 
@@ -125,13 +110,15 @@ class Worlds:
     action_scale
         replaces the reach that the actuation declares: one number or one for each
         column, in the action's units. Only with ``scaled``.
+    render_mode
+        ``rgb_array``, or None: :meth:`pictures` gives none.
     width, height
-        of :meth:`draw`, pixels.
+        of a picture, pixels.
 
     Raises
     ------
     ConfigError
-        for a task, an override or a scale that is not possible.
+        for a task, an override, a scale or a mode that is not possible.
     """
 
     def __init__(
@@ -142,6 +129,7 @@ class Worlds:
         *,
         actions: Actions = "scaled",
         action_scale: float | Sequence[float] | None = None,
+        render_mode: str | None = None,
         width: int = 480,
         height: int = 480,
     ) -> None:
@@ -149,10 +137,15 @@ class Worlds:
             raise ConfigError(f"actions={actions!r} is not possible: write 'scaled' or 'raw'.")
         if actions == "raw" and action_scale is not None:
             raise ConfigError("actions='raw' has no action_scale. Leave one of them out.")
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ConfigError(
+                f"render_mode={render_mode!r} is not possible: there is {', '.join(RENDER_MODES)}."
+            )
         if isinstance(overrides, str):
             raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
         self._made_with = (task, num_worlds, tuple(overrides)), {
-            "actions": actions, "action_scale": action_scale, "width": width, "height": height,
+            "actions": actions, "action_scale": action_scale, "render_mode": render_mode,
+            "width": width, "height": height,
         }  # fmt: skip
         experiment = load_experiment([f"task={task}", *overrides, f"num_worlds={num_worlds}"])
         built = build_environment(experiment)
@@ -164,7 +157,7 @@ class Worlds:
         )
         self.scale = ActionScale(self.environment, action_scale) if actions == "scaled" else None
         self.space = built.environment.parts.actuation.part.action_space
-        self._size = width, height
+        self.render_mode, self._size = render_mode, (width, height)
 
     def __getstate__(self) -> tuple[Any, ...]:
         """What a copy (``pickle``, ``copy.deepcopy``) is made of: the arguments, from which it is built
@@ -280,6 +273,12 @@ class Worlds:
         names = [name for name in self._scene.recorded if name in table.shapes]
         tracks = {name: table[name][world : world + 1].cpu().numpy() for name in names}
         return next(iter(self._scene.draw(tracks, width, height)))
+
+    def pictures(self) -> tuple[np.ndarray, ...] | None:
+        """As :meth:`draw`, of every world; None without a ``render_mode``."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.draw(world) for world in range(self.num_worlds))
 
     # ---------------------------------------------------------------- spaces
 

@@ -1,10 +1,6 @@
 """Gathering, spreading and flipping of amorphous materials with a tool (Zhang et al. 2020)."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-from understudy_skills.packaged import register_skills
+from understudy_skills.packaged import skills_beside
 
 #: Plugins that this one builds on.
 REQUIRES = (
@@ -92,7 +88,4 @@ CITATIONS = {
     ),
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register_skills(register, Path(__file__).parent / "skills")
+understudy_register = skills_beside(__file__)

@@ -101,7 +101,7 @@ class Clusters(Curriculum):
                 f"clusters (scene.blocks). Give curriculum.most={scene.options.blocks}, or more blocks."
             )
         self._on_device = torch.zeros(context.num_worlds, device=context.device)
-        self._judged = Judged(options.episodes)
+        self._judged = Judged(options.episodes, options.by, options.threshold)
         self._move(options.most if context.evaluating else options.start)
 
     def _move(self, clusters: int) -> None:
@@ -119,12 +119,9 @@ class Clusters(Curriculum):
         ended = rollout.ended & of_this_stage
         near = (rollout.fields["farthest_distance"] <= options.within).float()
         score = near if options.by == "distance" else rollout.episode_returns
-        found: dict[str, float] = {"clusters": self.clusters}
-        mean = self._judged.digest(ended, score)
-        if mean is None:
-            return found
-        found[options.by] = mean
-        if mean >= options.threshold and self.clusters < options.most:
+        metrics, passed = self._judged.digest(ended, score)
+        found: dict[str, float] = {"clusters": self.clusters, **metrics}
+        if passed and self.clusters < options.most:
             self._move(self.clusters + 1)
             found |= {"clusters": self.clusters, f"mark/{self.stage()}": 1.0}
         return found

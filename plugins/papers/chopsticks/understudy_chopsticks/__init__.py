@@ -1,10 +1,6 @@
 """Chopsticks (thesis, chapter 5): a grip that is held while a plan is followed."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-from understudy_skills.packaged import register_skills
+from understudy_skills.packaged import skills_beside
 
 #: Plugins that this one builds on.
 REQUIRES = (
@@ -83,7 +79,4 @@ CITATIONS = {
     ),
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register_skills(register, Path(__file__).parent / "skills")
+understudy_register = skills_beside(__file__)

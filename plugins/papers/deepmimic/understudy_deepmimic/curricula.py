@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -89,7 +89,7 @@ class Stagnation:
         self._best, self._since = state["best"], state["since"]
 
 
-class _Course:
+class _OfLength(Curriculum):
     """How long episodes last that begin now, s, on the device too, changed in place; and how the last ones
     went."""
 
@@ -106,7 +106,7 @@ class _Course:
         self.seconds = min(seconds, self.longest)
         self._on_device.fill_(self.seconds)
 
-    def begin(self) -> dict[str, Tensor]:
+    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
         return {"episode_limit": self._on_device}
 
     def digest(self, rollout: Rollout) -> dict[str, float]:
@@ -124,10 +124,10 @@ class _Course:
     def finished(self) -> bool:
         return self._stagnation.reached
 
-    def __str__(self) -> str:
+    def stage(self) -> str:
         return f"episodes of {self.seconds:.1f} s"
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Without how long they last, which each curriculum knows."""
         return {
             "recent": self._recent.state_dict(),
@@ -139,14 +139,12 @@ class _Course:
         self._stagnation.load_state_dict(state["stagnation"])
 
 
-class Adaptive(Curriculum):
+class Adaptive(_OfLength):
     """Episodes last a second at first, and half a second more after every iteration as long as less than
     a fifth of them fail.
 
     The training ends when the return has not increased for ``patience`` iterations.
     """
-
-    provides = _Course.provides
 
     @dataclass(frozen=True)
     class Options:
@@ -162,42 +160,30 @@ class Adaptive(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
-        self._course = _Course(options.start, options.patience, context)
-
-    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
-        return self._course.begin()
+        super().__init__(options.start, options.patience, context)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        course = self._course
-        found = course.digest(rollout)
-        if found["fail_rate"] < self._options.fail_rate and course.seconds < course.longest:
-            course.move(course.seconds + self._options.step)
-            if course.seconds == course.longest:
-                found[f"mark/{course}"] = 1.0
+        found = self.digest(rollout)
+        if found["fail_rate"] < self._options.fail_rate and self.seconds < self.longest:
+            self.move(self.seconds + self._options.step)
+            if self.seconds == self.longest:
+                found[f"mark/{self.stage()}"] = 1.0
         return found
 
-    def finished(self) -> bool:
-        return self._course.finished()
-
-    def stage(self) -> str:
-        return str(self._course)
-
     def state_dict(self) -> State:
-        return {"seconds": self._course.seconds, **self._course.state_dict()}
+        return {"seconds": self.seconds, **super().state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        self._course.move(state["seconds"])
-        self._course.load_state_dict(state)
+        self.move(state["seconds"])
+        super().load_state_dict(state)
 
 
-class Annealed(Curriculum):
+class Annealed(_OfLength):
     """The fixed schedule of the released DeepMimic: from half a second, by the fourth power of the share
     of ``samples`` that are consumed.
 
     The training ends when the return has not increased for ``patience`` iterations.
     """
-
-    provides = _Course.provides
 
     @dataclass(frozen=True)
     class Options:
@@ -214,33 +200,24 @@ class Annealed(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
-        self._course = _Course(options.start, options.patience, context)
+        super().__init__(options.start, options.patience, context)
         self._samples = 0
 
-    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
-        return self._course.begin()
-
-    def _move(self) -> None:
-        options, course = self._options, self._course
+    def _move_along(self) -> None:
+        options = self._options
         share = min(1.0, self._samples / options.samples) ** options.power
-        course.move(options.start + (course.longest - options.start) * share)
+        self.move(options.start + (self.longest - options.start) * share)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        found = self._course.digest(rollout)
+        found = self.digest(rollout)
         self._samples += rollout.rewards.numel() * distributed.size()
-        self._move()
+        self._move_along()
         return found
 
-    def finished(self) -> bool:
-        return self._course.finished()
-
-    def stage(self) -> str:
-        return str(self._course)
-
     def state_dict(self) -> State:
-        return {"samples": self._samples, **self._course.state_dict()}
+        return {"samples": self._samples, **super().state_dict()}
 
     def load_state_dict(self, state: State) -> None:
         self._samples = state["samples"]
-        self._move()
-        self._course.load_state_dict(state)
+        self._move_along()
+        super().load_state_dict(state)

@@ -1,10 +1,6 @@
 """Spacetime bounds (Ma et al. 2021; thesis chapter 3): learn a skill by staying near a clip."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-from understudy_skills.packaged import register_skills
+from understudy_skills.packaged import skills_beside
 
 #: Plugins that this one builds on.
 REQUIRES = (
@@ -86,7 +82,4 @@ CITATIONS = {
     ),
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register_skills(register, Path(__file__).parent / "skills")
+understudy_register = skills_beside(__file__)
