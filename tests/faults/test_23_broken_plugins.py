@@ -61,6 +61,9 @@ def assert_isolated(plugins: Plugins, reason: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_experiment(raw, plugins)
     assert f"Plugin 'stranger' did not load: {status(plugins)}" in str(caught.value)
+    assert "Known:" not in str(
+        caught.value
+    )  # what is missing is its plugin, no part to be chosen instead
 
 
 def loaded(stranger: Any) -> Plugins:

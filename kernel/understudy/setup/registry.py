@@ -228,7 +228,9 @@ class Registry:
         if component is not None:
             return component
         place = f" (asked for at {where})" if where else ""
-        message = f"There is no {kind} '{name}'{place}.{suggestion(name, self.names(kind))}"
+        lost = name.partition("/")[0] in self.broken  # with its plugin, as is said below
+        known = "" if lost else suggestion(name, self.names(kind))
+        message = f"There is no {kind} '{name}'{place}.{known}"
         elsewhere = [k for k, n in self.components if n == name]
         if elsewhere:
             message += f" '{name}' is a {elsewhere[0]}."

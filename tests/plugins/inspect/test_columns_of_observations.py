@@ -105,6 +105,23 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--columns is of a task, an experiment or a run folder" in capsys.readouterr().err
 
 
+def test_what_parts_can_read(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each field of the task's table in a line, and those that words add; what is refused names the option."""
+    mean = "memory.mean={name: running_mean, reads: {value: root_heading}}"
+    assert main(["describe", "--fields", "task/spacetime/walk", mean]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[:-1]]
+    found = {name: (" ".join(row[:-1]), row[-1]) for name, *row in rows}
+    table = built("spacetime/walk", mean).table
+    assert found.keys() == table.shapes.keys()
+    assert found["com_position"] == ("[3]", "fields.kinematics")
+    assert found["xipos"] == (str(list(table.shapes["xipos"])) + " the", "simulator")
+    assert found["mean"] == ("[]", "memory.mean")
+    assert main(["describe", "learner/ppo", "--fields"]) == 2
+    assert "--fields is of a task, an experiment or a run folder" in capsys.readouterr().err
+    assert main(["describe", "task/spacetime/walk", "--fields", "--columns"]) == 2
+    assert "--columns" in capsys.readouterr().err
+
+
 def heads(text: str) -> list[str]:
     return [line for line in text.splitlines() if line[0] != " "]
 

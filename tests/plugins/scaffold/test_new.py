@@ -11,6 +11,8 @@ import pytest
 from commands import forked
 
 from understudy.command.cli import main
+from understudy_scaffold import new
+from understudy_scaffold.new import next_steps
 
 pytest.importorskip("hatchling", reason="building the distribution needs hatchling (dev extra)")
 
@@ -40,7 +42,9 @@ def test_a_new_plugin_passes_at_once(
     """In an interpreter of its own; the paper's is a fork of one that has imported all."""
     monkeypatch.chdir(tmp_path)
     assert main(["new", "plugin", "my_juggling"]) == 0
-    assert "pip install -e understudy-my-juggling" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "-e understudy-my-juggling && " in said
+    assert "my_juggling/high" in said
     written, site = tmp_path / "understudy-my-juggling", tmp_path / "site"
     install(written, site)
     done = subprocess.run(
@@ -49,7 +53,30 @@ def test_a_new_plugin_passes_at_once(
         timeout=250, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    assert "3 passed" in done.stdout
+    assert "4 passed" in done.stdout
+
+
+def test_what_comes_next_is_of_this_environment(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Where it is not on the path, its programs are named with their folder: another pip would install elsewhere."""
+    here, folder = Path(sys.executable).parent, Path("a folder")
+    monkeypatch.setenv("PATH", str(here))
+    assert " pip install " in next_steps(folder, "tall")
+    assert "pytest 'a folder'" in next_steps(folder, "tall")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    steps = next_steps(folder, "tall")
+    for program in ("pip", "pytest", "understudy"):
+        assert f" {here}/{program} " in steps
+        assert f" {program} " not in steps
+
+
+def test_what_cannot_be_built_here_is_fetched(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "--no-build-isolation --no-deps -e tall" in next_steps(Path("tall"), "tall")
+    monkeypatch.setattr(new, "find_spec", lambda name: None)
+    steps = next_steps(Path("tall"), "tall")
+    assert "pip install -e tall && " in steps
+    assert "pip install pytest && " in steps
 
 
 def test_a_new_paper_passes_at_once(tmp_path: Path) -> None:
@@ -58,7 +85,7 @@ def test_a_new_paper_passes_at_once(tmp_path: Path) -> None:
     install(written, tmp_path / "site")
     done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "5 passed" in done.stdout
+    assert "6 passed" in done.stdout
     assert (written / "docs" / "thrown.md").is_file()
     texts = [
         f.read_text() for f in written.rglob("*") if f.suffix in (".py", ".md", ".yaml", ".toml")

@@ -15,7 +15,7 @@ from understudy.errors import ConfigError, RunError
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_inspect.catalogue import offers
-from understudy_inspect.describe import describe, names, observed
+from understudy_inspect.describe import describe, names, observed, read_by_parts
 from understudy_inspect.origins import all_origins
 from understudy_inspect.replay import replay_step
 
@@ -116,9 +116,15 @@ class Describe(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "part",
-            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; with --columns a run folder, too",
+            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; with --columns or --fields a run folder, too",
         )
-        parser.add_argument(
+        asked = parser.add_mutually_exclusive_group()
+        asked.add_argument(
+            "--fields",
+            action="store_true",
+            help="of a task, an experiment or a run, as KEY=VALUE changes it: the state fields that its parts can read, with their shapes",
+        )
+        asked.add_argument(
             "--columns",
             action="store_true",
             help="of a task, an experiment or a run, as KEY=VALUE changes it: what each column of its observations is, and what reads them",
@@ -130,11 +136,16 @@ class Describe(Command):
             raise ConfigError(
                 f"'{words[0]}' is not taken here. Did you mean `understudy describe {joined}`?"
             )
-        if words and not options.columns:
+        if words and not (options.columns or options.fields):
             raise ConfigError(
-                f"'{words[0]}' is not taken here: KEY=VALUE goes with --columns. See `understudy describe --help`."
+                f"'{words[0]}' is not taken here: KEY=VALUE goes with --columns or --fields. See `understudy describe --help`."
             )
-        print(observed(part, plugins, words) if options.columns else describe(part, plugins))
+        if options.columns:
+            print(observed(part, plugins, words))
+        else:
+            print(
+                read_by_parts(part, plugins, words) if options.fields else describe(part, plugins)
+            )
         return 0
 
 

@@ -9,6 +9,7 @@ import re
 import textwrap
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def describe(name: str, plugins: Plugins) -> str:
             f"There are several '{name}': " + ", ".join(f"{k}/{n}" for k, n in found) + "."
         )
     if kind in registry.kinds and rest:
-        raise ConfigError(f"There is no {kind} '{rest}'.{suggestion(rest, registry.names(kind))}")
+        registry.find(kind, rest)  # says that there is none, and why
     raise ConfigError(
         f"There is nothing called '{name}'. Write KIND/NAME, as in learner/ppo."
         + (suggestion(name, typed) if "Did you" in suggestion(name, typed) else "")
@@ -87,6 +88,37 @@ def observed(name: str, plugins: Plugins, overrides: Sequence[str] = ()) -> str:
     RunError
         if the run folder is damaged.
     """
+    lines = []
+    with _built(name, plugins, overrides, "--columns") as (experiment, built):
+        readers = _readers(experiment, built)
+        for observation, columns in built.environment.observation_columns.items():
+            shape = list(built.environment.observation_shapes[observation])
+            lines.append(f"{observation} {shape}{readers.get(observation, '')}")
+            lines += [f"  {number:>4}  {column}" for number, column in enumerate(columns)]
+    return "\n".join(lines)
+
+
+def read_by_parts(name: str, plugins: Plugins, overrides: Sequence[str] = ()) -> str:
+    """The state fields that terms, encoders and other parts of a task, experiment or run can read: shape without the
+    worlds, and what gives each; parameters and errors as :func:`observed`."""
+    with _built(name, plugins, overrides, "--fields") as (_, built):
+        table = built.environment.table
+        width = max(map(len, table.shapes))
+        lines = [
+            f"{field:<{width}}  {list(table.shapes[field])!s:<8}  {table.source[field]}"
+            for field in sorted(table.shapes)
+        ]
+    lines.append(
+        "Before each shape comes N, the worlds. previous_FIELD is the one of before the decision. Units and frames: docs/conventions.md, State fields."
+    )
+    return "\n".join(lines)
+
+
+@contextmanager
+def _built(
+    name: str, plugins: Plugins, overrides: Sequence[str], option: str
+) -> Iterator[tuple[Experiment, Built]]:
+    """One world on the CPU of a task, experiment or run, which `option` is asked of."""
     group, _, rest = name.replace("=", "/", 1).partition("/")
     if (Path(name) / "run.json").is_file():
         run = open_run(name)
@@ -96,19 +128,13 @@ def observed(name: str, plugins: Plugins, overrides: Sequence[str] = ()) -> str:
         experiment = load_experiment([f"{group}={rest}", *overrides, "device=cpu"], plugins)
     else:
         raise ConfigError(
-            f"--columns is of a task, an experiment or a run folder, and {name} is none: write task/spacetime/walk, say."
+            f"{option} is of a task, an experiment or a run folder, and {name} is none: write task/spacetime/walk, say."
         )
     built = build_environment(experiment, num_worlds=1)
     try:
-        readers = _readers(experiment, built)
-        lines = []
-        for observation, columns in built.environment.observation_columns.items():
-            shape = list(built.environment.observation_shapes[observation])
-            lines.append(f"{observation} {shape}{readers.get(observation, '')}")
-            lines += [f"  {number:>4}  {column}" for number, column in enumerate(columns)]
+        yield experiment, built
     finally:
         built.environment.close()
-    return "\n".join(lines)
 
 
 def _readers(experiment: Experiment, built: Built) -> dict[str, str]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import keyword
 import re
+import shlex
 import shutil
 import string
+import sys
 import tempfile
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 from understudy import __version__
@@ -20,7 +23,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 class NewPlugin(Command):
-    """Writes a distribution with one reward, its test, README and entry point."""
+    """Writes a distribution with two rewards and an observation, their tests, README and entry point, and says what comes next."""
 
     example = "understudy new plugin balance"
 
@@ -40,12 +43,12 @@ class NewPlugin(Command):
             _write(folder, name, self.templates)
         except OSError as error:
             raise FileError(f"{folder} cannot be written: {error.strerror}.") from error
-        print(f"Try it: pip install -e {folder} && pytest {folder}")
+        print(next_steps(folder, name))
         return 0
 
 
 class NewPaper(Command):
-    """Writes a distribution with one reward, an experiment, the paper's page and a table."""
+    """Writes the same, with an experiment, the paper's page and a table."""
 
     example = "understudy new paper hopping"
 
@@ -56,6 +59,26 @@ class NewPaper(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         return self._plugin.run(options)
+
+
+def next_steps(folder: Path, name: str) -> str:
+    """What to type now: the commands of this environment, whether or not it is activated."""
+    here = Path(sys.executable).parent
+    found = shutil.which("pip")
+    programs = "" if found and Path(found).parent == here else f"{shlex.quote(str(here))}/"
+    # What builds the package is there in an environment for developers: then nothing is fetched.
+    alone = "--no-build-isolation --no-deps " if find_spec("hatchling") else ""
+    testing = "" if find_spec("pytest") else f"{programs}pip install pytest && "
+    where = shlex.quote(str(folder))
+    train = f"{programs}understudy train experiment=spacetime/walk budget.samples=20000 run.video_seconds=0"
+    return f"""\
+{folder}/src/understudy_{name} has two rewards in terms.py, {name}/still, a function, and {name}/high, a class;
+and an observation, {name}/height, in encoders.py.
+Install and test:   {programs}pip install {alone}-e {where} && {testing}{programs}pytest {where}
+Train by a reward:  {train} 'reward.terms.high={{name: {name}/high}}'
+  an observation:   {train} 'encoder.extra={{name: {name}/height}}' 'policy.feedback.observation=[state,extra]'
+Write your own:     beside these or in their place, each with its line in __init__.py and its test
+What it can read:   {programs}understudy describe --fields experiment/spacetime/walk"""
 
 
 def checked_name(name: str) -> str:
@@ -70,8 +93,14 @@ def checked_name(name: str) -> str:
         raise ConfigError(
             f"'{name}' is no name of a plugin. Use small letters, digits and _, as in my_paper."
         )
-    if any(plugin.name == name for plugin in installed().loaded):
-        raise ConfigError(f"There is a plugin '{name}' already. Use another name.")
+    for plugin in installed().loaded:
+        if plugin.name == name:
+            raise ConfigError(
+                f"There is a plugin '{name}' already, of {plugin.distribution}. Use another name, or take "
+                f"that away: pip uninstall {plugin.distribution}."
+                if plugin.distribution != "understudy"
+                else f"There is a plugin '{name}' already. Use another name."
+            )
     return name
 
 
