@@ -16,6 +16,7 @@ import torch
 import yaml
 
 from understudy.command.cli import main
+from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
@@ -50,11 +51,25 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize("overrides", COMMANDS, ids=" ".join)
+#: Those of the plugin that `understudy new plugin tall` writes.
+NEW = [overrides for overrides in COMMANDS if "tall/" in " ".join(overrides)]
+
+
+@pytest.mark.parametrize("overrides", [o for o in COMMANDS if o not in NEW], ids=" ".join)
 def test_commands_compose(overrides: list[str]) -> None:
     if (compose_raw(overrides).get("simulator") or {}).get("name") == "mujoco_warp":
         pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     load_experiment(overrides, installed())
+
+
+def test_commands_of_a_new_plugin_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert main(["new", "plugin", "tall", "--folder", str(tmp_path / "tall")]) == 0
+    monkeypatch.syspath_prepend(tmp_path / "tall" / "src")
+    plugins = load(extra=[("tall", importlib.import_module("understudy_tall"))])
+    assert len(NEW) == 2
+    for overrides in NEW:
+        experiment = load_experiment([*overrides, "num_worlds=2"], plugins)
+        build_environment(experiment).environment.close()
 
 
 def test_the_demo_is_the_one_that_the_page_names() -> None:

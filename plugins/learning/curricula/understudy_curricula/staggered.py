@@ -23,7 +23,7 @@ class Staggered(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: float  #: of all later episodes, as ``episode.seconds``
+        seconds: float  #: s, of all later episodes, as ``episode.seconds``
 
         def __post_init__(self) -> None:
             check_range(self, "seconds", above=0)

@@ -41,7 +41,7 @@ class Lengths(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: Between  #: how long training episodes are
+        seconds: Between  #: s, how long training episodes are
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -77,7 +77,7 @@ class Clusters(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: Between  #: how long training episodes are
+        seconds: Between  #: s, how long training episodes are
         start: int = 1  #: clusters in the beginning, from 1
         most: int = 4  #: clusters in the end (section 4.1 has 4); at most ``scene.blocks``
         #: what is judged: the share of episodes that end near the goal, or the mean return

@@ -103,7 +103,7 @@ class TakeOff(InitialStates):
         spin: float = 0.0  #: rad/s
         climb: float = 4.0  #: m/s, upwards
         lean: float = 0.0  #: rad
-        noise: float = 0.05  #: of each, at most
+        noise: float = 0.05  #: of each of these, at most, in its unit
 
         def __post_init__(self) -> None:
             check_range(self, "climb", "noise", least=0)

@@ -66,7 +66,7 @@ class Takeoffs(InitialStates):
         )  #: the first take-off (table 4.3; of obstacle jumps table 4.4)
         others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
         pose: Literal["plant", "step"] = "plant"  #: the foot's planting, or the step before it
-        distance: Distance = field(default_factory=Distance)  #: how far from the obstacle
+        distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
         noise: float = (
             0.02  #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
         )
@@ -128,7 +128,7 @@ class Harvested(InitialStates):
     class Options:
         file: str  #: the bank, or the folder of the run that has one
         alpha: float = -0.05  #: rad, as :class:`~understudy_jumping.takeoff.Takeoff` has it
-        distance: Distance = field(default_factory=Distance)  #: how far from the obstacle
+        distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/harvested'"

@@ -85,7 +85,7 @@ class Speed(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: float = 0.5  #: time constant of the mean, above 0
+        seconds: float = 0.5  #: s, time constant of the mean, above 0
 
         def __post_init__(self) -> None:
             check_range(self, "seconds", above=0)

@@ -31,7 +31,7 @@ class AdaptiveBounds(Curriculum):
         widest: float = 2.0  #: how many times as large bounds may be, from 1
         segments: int = 20  #: of the motion, from 1
         fail_rate: float = 0.02  #: of decisions; 0.02 is an episode of 1.7 s at 30 Hz
-        rate: float = 0.02  #: by rollout
+        rate: float = 0.02  #: share by which a rollout changes a segment's bounds
 
         def __post_init__(self) -> None:
             check_range(self, "widest", least=1)

@@ -43,7 +43,7 @@ class RayExecutor:
         num_gpus: float | None = None  #: of a trial; null is one where device=cuda, else none
         threads: int = 1  #: of torch, in each trial
         retries: int = 2  #: times that a trial goes on from its checkpoint after its actor was lost
-        seconds: float | None = None  #: one try takes at most
+        seconds: float | None = None  #: s, that one try takes at most; null has no limit
         grace: float = 30.0  #: seconds to save, for a trial that is told to end
 
         def __post_init__(self) -> None:

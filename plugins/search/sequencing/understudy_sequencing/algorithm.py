@@ -55,7 +55,7 @@ class Algorithm1(OuterLoop):
         weight: float = 1.0  #: w of line 2, of minus the distance; 0 leaves the term out
         ending: str = "success"  #: which endings are the next one's starts, as of ``job=harvest``
         count: int = 256  #: states of each bank (2018 code: 20)
-        seconds: float = 0.1  #: for which starts are simulated before they are kept
+        seconds: float = 0.1  #: s, for which starts are simulated before they are kept
         fields: tuple[str, ...] = ()  #: that banks keep beside the simulator's state
         #: overrides of every training and bank of starts, before the subtask's own
         each: tuple[str, ...] = ()

@@ -61,7 +61,7 @@ class Limits:
     """What a trial may take."""
 
     retries: int  #: times that a trial goes on from its checkpoint after its process was lost
-    seconds: float | None  #: one try takes at most
+    seconds: float | None  #: s, that one try takes at most; None has no limit
     grace: float  #: seconds to save, for a trial that is told to end
 
 

@@ -55,7 +55,7 @@ class Processes:
         gpus: int | tuple[int, ...] | None = None
         threads: int | None = None  #: of torch, in each trial; null shares the cores among workers
         retries: int = 2  #: times that a trial goes on from its checkpoint after its process died
-        seconds: float | None = None  #: one try takes at most
+        seconds: float | None = None  #: s, that one try takes at most; null has no limit
         grace: float = 30.0  #: seconds to save, for a trial that is told to end
 
         def __post_init__(self) -> None:

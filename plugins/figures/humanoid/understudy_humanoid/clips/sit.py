@@ -71,7 +71,7 @@ def generated_sit(
     *,
     #: m above the floor, from 0.35 to 0.55
     seat_height: float = 0.45,
-    #: from standing to sitting still, from 1.2 to 6
+    #: s, from standing to sitting still, from 1.2 to 6
     seconds: float = 2.2,
     #: frames/s
     frame_rate: float = 60.0,
@@ -90,7 +90,7 @@ def generated_stand(
     *,
     #: m above the floor, from 0.35 to 0.55
     seat_height: float = 0.45,
-    #: from sitting to standing still
+    #: s, from sitting to standing still
     seconds: float = 2.0,
     #: frames/s
     frame_rate: float = 60.0,
