@@ -109,7 +109,11 @@ def test_what_parts_can_read(capsys: pytest.CaptureFixture[str]) -> None:
     """Each field of the task's table in a line, and those that words add; what is refused names the option."""
     mean = "memory.mean={name: running_mean, reads: {value: root_heading}}"
     assert main(["describe", "--fields", "task/spacetime/walk", mean]) == 0
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()[:-1]]
+    *lines, _, ends = capsys.readouterr().out.splitlines()
+    assert ends.endswith(
+        "end_effectors, in their order: right_wrist, left_wrist, right_ankle, left_ankle."
+    )
+    rows = [line.split() for line in lines]
     found = {name: (" ".join(row[:-1]), row[-1]) for name, *row in rows}
     table = built("spacetime/walk", mean).table
     assert found.keys() == table.shapes.keys()

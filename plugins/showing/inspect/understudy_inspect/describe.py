@@ -108,9 +108,14 @@ def read_by_parts(name: str, plugins: Plugins, overrides: Sequence[str] = ()) ->
             f"{field:<{width}}  {list(table.shapes[field])!s:<8}  {table.source[field]}"
             for field in sorted(table.shapes)
         ]
+        named = {k: v for k, v in built.scene.describe().items() if isinstance(v, list)}
     lines.append(
-        "Before each shape comes N, the worlds. previous_FIELD is the one of before the decision. Units and frames: docs/conventions.md, State fields."
+        "Before each shape comes N, the worlds. previous_FIELD is the one of before the decision. Units and frames: "
+        "docs/conventions.md, State fields. Names of links and joints, in their order: --columns."
     )
+    lines += [
+        f"Rows of {what}, in their order: {', '.join(map(str, v))}." for what, v in named.items()
+    ]
     return "\n".join(lines)
 
 
