@@ -32,7 +32,15 @@ from scipy import stats
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
 from understudy_reproduce.tables import PaperTable, load_table, table_files
-from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of, verdict_between
+from understudy_sweeps.intervals import (
+    FAILS,
+    HOLDS,
+    ONE,
+    UNDECIDED,
+    from_below,
+    mean_of,
+    verdict_between,
+)
 from understudy_sweeps.intervals import verdict as decided
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -178,21 +186,18 @@ def verdict(claim: Mapping[str, Any]) -> str:
     claim undecided.
     """
     ours = measure(claim)
-    sign, other = (-1, claim["less"]) if "less" in claim else (1, claim["more"])
+    better = "less" if "less" in claim else "more"
+    other = claim[better]
     if not isinstance(other, Mapping):
         if ours.seeds == 1:
             return ONE
-        found = _decided(ours.bounded(), float(other), sign)
-        sure = HOLDS if sign > 0 else FAILS
-        return found if found == sure or not ours.missed else UNDECIDED
+        found = _decided(ours.bounded(), float(other), -1 if better == "less" else 1)
+        return from_below(found, better, bool(ours.missed))
     theirs = measure({**claim, **other})
     if min(ours.seeds, theirs.seeds) == 1:
         return ONE
-    if (ours if sign < 0 else theirs).missed:
-        return UNDECIDED
-    first, second = ours.bounded(), theirs.bounded()
-    found = verdict_between(first.values, second.values, "less" if sign < 0 else "more")
-    return UNDECIDED if found == FAILS and (ours.missed or theirs.missed) else found
+    found = verdict_between(ours.bounded().values, theirs.bounded().values, better)
+    return from_below(found, better, bool(ours.missed), bool(theirs.missed))
 
 
 def _decided(ours: Measured, than: float, sign: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from scipy import stats
@@ -15,7 +16,7 @@ from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
 from understudy_reproduce.command import listed
 from understudy_reproduce.tables import Figure, PaperTable, Printed, Record, load_table, table_files
-from understudy_sweeps.intervals import verdict_between
+from understudy_sweeps.intervals import from_below, verdict_between
 
 TABLE = PaperTable(
     "A title",
@@ -105,7 +106,20 @@ def test_what_missed_its_criterion_is_known_from_below(tmp_path: Path) -> None:
     journal(tmp_path, "whole.jsonl", {"walk/without": (5e6, 5e6, 5e6)}, outcome="budget")
     assert [said for *_, said in card(tmp_path).verdicts()] == ["holds", "holds"]
     turned = replace(TABLE, paper={"walk": {"without": {"says": "quicker", "less": "full"}}})
-    assert [said for *_, said in card(tmp_path, turned).verdicts()] == ["", "undecided"]
+    assert [said for *_, said in card(tmp_path, turned).verdicts()] == ["", "does not hold"]
+
+
+@pytest.mark.parametrize("better", ["less", "more"])
+@pytest.mark.parametrize(("ours", "theirs"), [(False, True), (True, False), (True, True)])
+def test_only_the_side_that_needs_more_may_be_known_from_below(
+    ours: bool, theirs: bool, better: Literal["less", "more"]
+) -> None:
+    few, many = dict(enumerate((1.0, 1.1, 1.2))), dict(enumerate((5.0, 5.1, 5.3)))
+    for first, second, few_missed in ((few, many, ours), (many, few, theirs)):
+        found = verdict_between(first, second, better)
+        decided = "holds" if (first is few) == (better == "less") else "does not hold"
+        assert found == decided
+        assert from_below(found, better, ours, theirs) == ("undecided" if few_missed else decided)
 
 
 def test_cells_that_were_trained_otherwise_are_not_compared(tmp_path: Path) -> None:

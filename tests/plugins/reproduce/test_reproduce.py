@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -109,9 +110,9 @@ def test_one_command_runs_the_table_and_leaves_its_card(
     assert "card: " in capsys.readouterr().out
 
 
-def result(samples: float, outcome: str = "criterion", status: str = "ok") -> Result:
+def result(samples: float, outcome: str = "criterion", status: str = "ok", seed: int = 0) -> Result:
     report = Report("x", status, 1.0, {"success_from_here": 0.5}, samples, "", outcome)
-    return Result(Trial("x", variant="a/b", seed=0), report, Path("nowhere"))
+    return Result(Trial("x", variant="a/b", seed=seed), report, Path("nowhere"))
 
 
 def test_samples_of_what_did_not_get_there_are_not_averaged() -> None:
@@ -249,9 +250,20 @@ def test_every_bundled_table_can_be_listed() -> None:
      ((1.0,), "one seed")],
 )  # fmt: skip
 def test_a_verdict_says_whether_ours_is_better(samples: tuple[float, ...], expected: str) -> None:
-    assert Cell([result(s) for s in samples]).verdict("samples", 2.0, "less") == expected
-    missed = [*map(result, samples), result(9.0, outcome="budget")]
-    assert Cell(missed).verdict("samples", 2.0, "less") == "undecided"
+    cell = Cell([result(s, seed=i) for i, s in enumerate(samples)])
+    assert cell.verdict("samples", 2.0, "less") == expected
+
+
+@pytest.mark.parametrize(
+    ("had", "better", "expected"),
+    [(1.0, "less", "undecided"), (3.0, "less", "does not hold"), (3.0, "more", "holds"),
+     (1.0, "more", "undecided")],
+)  # fmt: skip
+def test_what_missed_its_criterion_needs_more_than_it_had(
+    had: float, better: Literal["less", "more"], expected: str
+) -> None:
+    missed = [result(had + i / 10, outcome="budget", seed=i) for i in range(3)]
+    assert Cell(missed).verdict("samples", 2.0, better) == expected
 
 
 def test_the_list_has_every_table_with_the_papers_number_and_ours(

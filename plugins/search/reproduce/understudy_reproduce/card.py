@@ -22,7 +22,7 @@ from understudy_report.page import html_page
 from understudy_report.values import mapping
 from understudy_reproduce.records import recorded
 from understudy_reproduce.tables import Figure, PaperTable, Printed, variant_name
-from understudy_sweeps.intervals import FAILS, UNDECIDED, mean_of, verdict, verdict_between
+from understudy_sweeps.intervals import from_below, mean_of, verdict, verdict_between
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import OBJECTIVE, SAMPLES, SECONDS, SUCCESS, Result, Results
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
@@ -74,10 +74,10 @@ class Cell:
         return "; ".join(parts) or _NOTHING
 
     def verdict(self, figure: str, than: float, better: Literal["less", "more"]) -> str:
-        """Whether ours is less, or more, `than` a number; "" of none. Samples of a training that missed its
-        criterion are more than it had, which decides nothing."""
-        found = verdict(self.values(figure), than, better)
-        return UNDECIDED if self.missed(figure) and found else found
+        """Whether ours is less, or more, `than` a number; "" of none. Samples of a training that missed its criterion count
+        as that many, where more would say the same."""
+        found = verdict(list(self.by_seed(figure).values()), than, better)
+        return from_below(found, better, self.missed(figure))
 
     def verdict_beside(self, other: Cell, figure: str, better: Literal["less", "more"]) -> str:
         """Whether ours is less, or more, than what the `other` has. What missed its criterion counts with the samples
@@ -85,9 +85,7 @@ class Cell:
         if self.less != other.less:
             return ""  # trained otherwise
         found = verdict_between(self.by_seed(figure), other.by_seed(figure), better)
-        ours, theirs = self.missed(figure), other.missed(figure)
-        unknown = (ours if better == "less" else theirs) or (found == FAILS and (ours or theirs))
-        return UNDECIDED if found and unknown else found
+        return from_below(found, better, self.missed(figure), other.missed(figure))
 
     @property
     def minutes(self) -> float:

@@ -10,7 +10,15 @@ from typing import Literal
 
 from scipy.special import stdtr, stdtrit
 
-__all__ = ["FAILS", "UNDECIDED", "mean_of", "paired_difference", "verdict", "verdict_between"]
+__all__ = [
+    "FAILS",
+    "UNDECIDED",
+    "from_below",
+    "mean_of",
+    "paired_difference",
+    "verdict",
+    "verdict_between",
+]
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,17 @@ def verdict_between(
     down = sum(part**2 / (len(v) - 1) for part, v in zip(parts, (first, second), strict=True))
     degrees = sum(parts) ** 2 / down if down > 0 else 1.0
     return _told(more if better == "more" else -more, math.sqrt(sum(parts)), degrees)
+
+
+def from_below(
+    found: str, better: Literal["less", "more"], ours: bool, theirs: bool = False
+) -> str:
+    """The verdict `found`, where of `ours` or `theirs` some are known from below alone and counted as that: undecided if
+    the side that has less may have more, which would speak against it. More on the other side says the same."""
+    if found not in (HOLDS, FAILS):
+        return found
+    ours_is_less = (found == HOLDS) == (better == "less")
+    return UNDECIDED if (ours if ours_is_less else theirs) else found
 
 
 def _told(ahead: float, error: float, degrees: float) -> str:
