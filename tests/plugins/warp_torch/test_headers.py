@@ -127,3 +127,8 @@ def test_warp_says_where_it_keeps_them(cache: Path, monkeypatch: pytest.MonkeyPa
         wp.launch(_halve, 3, inputs=[wp.ones(3, dtype=float, device="cpu")], device="cpu")
     assert said["use_precompiled_headers"]
     assert Path(said["pch_dir"]).is_dir()
+
+
+def test_nothing_is_kept_where_warp_keeps_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config, "kernel_cache_dir", None)
+    assert headers._kept() is None

@@ -41,6 +41,8 @@ def keep_headers() -> None:
         if not named.get("use_precompiled_headers") or not named.get("pch_dir"):
             return compile_one(*arguments, **named)
         own, kept = Path(named["pch_dir"]), _kept()
+        if kept is None:
+            return compile_one(*arguments, **named)
         with _lock(os.getpid()):  # where there are none, one thread makes what the others wait for
             _copy_new(kept, own)
             if not any(own.glob("*.pch")) and kept not in tried:
@@ -61,13 +63,17 @@ def _lock(process: int) -> threading.Lock:
     return threading.Lock()
 
 
-def _kept() -> Path:
-    """Where the headers of this installation of Warp are: they name its files, and when these were written."""
+def _kept() -> Path | None:
+    """Where the headers of this installation of Warp are: they name its files, and when these were written.
+
+    None where Warp keeps no kernels: headers are run, so they lie nowhere that others can write.
+    """
+    if not wp.config.kernel_cache_dir:
+        return None
     headers = Path(wp.__file__).parent / "native"
     written = max((path.stat().st_mtime_ns for path in headers.glob("*.h")), default=0)
     of = f"{wp.config.version} {headers} {written}"
-    folder = wp.config.kernel_cache_dir or tempfile.gettempdir()
-    return Path(folder) / _FOLDER / hashlib.sha256(of.encode()).hexdigest()[:16]
+    return Path(wp.config.kernel_cache_dir) / _FOLDER / hashlib.sha256(of.encode()).hexdigest()[:16]
 
 
 def _copy_new(source: Path, target: Path) -> None:
