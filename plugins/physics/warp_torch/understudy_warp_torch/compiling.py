@@ -7,8 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
-from functools import cache
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
@@ -19,9 +18,6 @@ __all__ = ["compile_kernels"]
 _QUIET, _PAUSE = 3.0, 10.0
 #: Threads; each takes some hundred MB.
 _MOST = 32
-#: So many modules compile on one thread: for a CPU, each thread first compiles Warp's headers, which takes 1.7 s, as
-#: long as a module or two, and keeps them as long as it lives.
-_FEW = 3
 
 
 def compile_kernels(work: Callable[[], None], device: Any) -> None:
@@ -38,11 +34,7 @@ def compile_kernels(work: Callable[[], None], device: Any) -> None:
     """
     modules = list(_modules_of(work))
     began = time.monotonic()
-    with ExitStack() as stack:
-        if wp.get_device(device).is_cpu and len(modules) <= _FEW:
-            pool = _one_thread(os.getpid())
-        else:
-            pool = stack.enter_context(ThreadPoolExecutor(min(_MOST, os.cpu_count() or 1)))
+    with ThreadPoolExecutor(min(_MOST, os.cpu_count() or 1)) as pool:
         waiting: set[Future[None]] = {
             pool.submit(wp.force_load, device, [module], block_dim, 0)
             for module, block_dim in modules
@@ -55,12 +47,6 @@ def compile_kernels(work: Callable[[], None], device: Any) -> None:
             if waiting:
                 _tell(time.monotonic() - began, len(modules) - len(waiting), len(modules))
                 pause = _PAUSE
-
-
-@cache
-def _one_thread(process: int) -> ThreadPoolExecutor:
-    """A thread that lives as long as this `process`: a fork has none of its threads."""
-    return ThreadPoolExecutor(1)
 
 
 def _tell(seconds: float, ready: int, count: int) -> None:

@@ -15,6 +15,7 @@ import warp as wp
 from torch import Tensor
 
 from understudy_warp_torch.compiling import compile_kernels
+from understudy_warp_torch.headers import keep_headers
 
 __all__ = ["Kernels", "put_rows"]
 
@@ -26,6 +27,7 @@ def start_warp() -> None:
     holds is copied to a temporary one, so that a read-only but warm cache keeps its use.
     """
     wp.config.log_level = wp.LOG_WARNING
+    keep_headers()
     try:
         wp.init()
         folder = wp.config.kernel_cache_dir
