@@ -37,6 +37,8 @@ _NAMES = tuple(row.name for row in _JOINTS)
 _PARENTS = tuple(-1 if row.parent is None else _NAMES.index(row.parent) for row in _JOINTS)
 #: Times per second of a grid, at least.
 _FINENESS = 480.0
+#: Numbers of rotations from which numpy multiplies them sooner than scipy.
+_MANY = 128
 
 
 def check(clip: str, least: float, most: float, **parameters: float) -> None:
@@ -92,9 +94,30 @@ def about_y(angle: Array) -> Rotation:
     return Rotation.from_rotvec(angle[:, None] * [0.0, 1.0, 0.0])
 
 
+def product(one: Rotation, other: Rotation) -> Rotation:
+    """``one * other`` to the same bits, (F,) or one for all: scipy takes five times as long for many."""
+    if max(np.size(one.as_quat()), np.size(other.as_quat())) < _MANY:
+        return one * other
+    (a, b, c, d), (x, y, z, w) = one.as_quat().T, other.as_quat().T
+    turned = np.stack(
+        [
+            d * x + w * a + (b * z - c * y),
+            d * y + w * b + (c * x - a * z),
+            d * z + w * c + (a * y - b * x),
+            d * w - a * x - b * y - c * z,
+        ],
+        axis=-1,
+    )
+    return Rotation.from_quat(turned)
+
+
 def trunk(pelvis: Rotation, thorax: Rotation, head: Rotation) -> Pose:
     """The pose of the trunk from its parts' rotations in one frame, the world if it is that."""
-    return {"root": pelvis, "chest": pelvis.inv() * thorax, "neck": thorax.inv() * head}
+    return {
+        "root": pelvis,
+        "chest": product(pelvis.inv(), thorax),
+        "neck": product(thorax.inv(), head),
+    }
 
 
 @dataclass(frozen=True)
@@ -120,7 +143,7 @@ def links(root: Array, pose: Pose, known: Known | None = None) -> tuple[Array, l
         own, above = pose.get(row.name), known[row.parent].turned if row.parent else None
         held = known.get(row.name)
         if held is None or held.own is not own or held.above is not above:
-            turned = own if above is None else above if own is None else above * own
+            turned = own if above is None else above if own is None else product(above, own)
             assert turned is not None
             step = 0.0 if above is None else above.apply(row.offset)
             held = known[row.name] = _Held(own, above, turned, step, turned.apply(row.centre))

@@ -15,7 +15,17 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips.curves import bridged
-from understudy_humanoid.clips.figure import ROWS, SIGN, Array, Mask, Pose, Side, about_y, turns
+from understudy_humanoid.clips.figure import (
+    ROWS,
+    SIGN,
+    Array,
+    Mask,
+    Pose,
+    Side,
+    about_y,
+    product,
+    turns,
+)
 
 #: Longest distance from hip to ankle, and from shoulder to wrist, as a part of the straight limb.
 REACH = 0.99
@@ -98,7 +108,7 @@ def two_links(
     y = axis - (axis * z).sum(axis=1, keepdims=True) * z
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     line = Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2))
-    return line * about_y(-sense * ahead), about_y(sense * bend)
+    return product(line, about_y(-sense * ahead)), about_y(sense * bend)
 
 
 def socket(side: Side, root: Array, pelvis: Rotation) -> Array:
@@ -132,9 +142,9 @@ def leg_to(
     if knee_axes is None:
         axis = _hinge_axis(reach, wide)
     else:
-        axis = (pelvis.inv() * knee_axes).apply([0.0, 1.0, 0.0])
+        axis = product(pelvis.inv(), knee_axes).apply([0.0, 1.0, 0.0])
     thigh, knee = two_links(reach, axis, (THIGH, SHIN), 1.0)
-    rest = (pelvis * thigh * knee).inv() * foot
+    rest = product(product(product(pelvis, thigh), knee).inv(), foot)
     bend = knee.as_rotvec()[:, 1:2]
     return np.hstack([exponential_maps(thigh), bend, exponential_maps(rest)])
 
@@ -149,7 +159,7 @@ def arm_to(
     near: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
     """Coordinates (F, 4) of the arm with its wrist at `wrist` (F, 3), near a shoulder's map `near`."""
-    thorax = pelvis * chest
+    thorax = product(pelvis, chest)
     reach = thorax.inv().apply(wrist - shoulder(side, root, pelvis, chest))
     upper, elbow = two_links(reach, _hinge_axis(reach, True), (UPPER_ARM, FOREARM), -1.0)
     return np.hstack([exponential_maps(upper, near), -elbow.as_rotvec()[:, 1:2]])
@@ -209,7 +219,7 @@ def planted(
     aside = -np.sign(roll) * _FOOT.size[1]
     pivot = np.stack([np.where(pitch < 0.0, HEEL, TOE), aside, np.full_like(aside, SOLE)], axis=1)
     heading = turns(np.degrees(yaw), 0.0, 0.0)
-    foot = heading * turns(0.0, np.degrees(pitch), np.degrees(roll))
+    foot = product(heading, turns(0.0, np.degrees(pitch), np.degrees(roll)))
     level = np.zeros((len(yaw), 3))
     level[:, :2], level[:, 2] = place, -SOLE
     return level + heading.apply(pivot) - foot.apply(pivot), foot

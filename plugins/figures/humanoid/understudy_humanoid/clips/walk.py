@@ -115,7 +115,7 @@ def generated_walk(
     sway = -0.02 * np.sin(wave - 0.3) + _LEANING_HEIGHT * lean
     curvature = heading_rate / speed
     place, heading = _along_arc(stride * phase, sway, curvature)
-    pelvis = figure.turns(np.degrees(heading), 0.0, 0.0) * upright
+    pelvis = figure.product(figure.turns(np.degrees(heading), 0.0, 0.0), upright)
     root = np.column_stack([place, -0.022 * np.cos(2.0 * wave - 0.8)])
     feet: dict[figure.Side, tuple[figure.Array, Rotation]] = {
         "right": _foot("right", phase, stride, 0.235 * stride, curvature),
