@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import platform
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -18,6 +20,7 @@ def test_they_have_scipys_bits(one: int | None, other: int | None) -> None:
     wanted = (left * right).as_quat()
     found = product(left, right).as_quat()
     assert found.shape == wanted.shape
-    np.testing.assert_array_equal(found, wanted)
+    exact = platform.machine() in ("x86_64", "AMD64")  # elsewhere compilers fuse scipy's sums
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=0.0 if exact else 1e-15)
     if one == other == 500:
         assert (product(right, left).as_quat() != wanted).any()
