@@ -13,7 +13,7 @@ from understudy_cloth.patterns import t_shirt
 
 def test_hinges_of_a_colour_share_no_vertex_and_are_as_many_as_of_another() -> None:
     for x, faces in (sheet(20, 30), tube(16, 40, 0.0573)):
-        hinges = hinges_of(faces, x[faces])
+        hinges = hinges_of(faces, x[faces], True)
         counts = np.diff(hinges.first)
         assert counts.sum() == len(hinges.quads)
         for first, last in zip(hinges.first, hinges.first[1:], strict=False):
@@ -47,7 +47,8 @@ def reads(first: np.ndarray, groups: np.ndarray) -> float:
 def test_threads_side_by_side_read_from_banks_of_their_own() -> None:
     shirt = t_shirt()
     assert shirt.rest is not None
-    hinges, edges = hinges_of(shirt.faces, shirt.rest), distances_of(shirt.faces, shirt.rest)
+    hinges = hinges_of(shirt.faces, shirt.rest, True)
+    edges = distances_of(shirt.faces, shirt.rest, True)
     sorted_quads = hinges.quads.copy()
     for begin, end in zip(hinges.first, hinges.first[1:], strict=False):
         part = hinges.quads[begin:end]

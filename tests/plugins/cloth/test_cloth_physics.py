@@ -51,7 +51,8 @@ def energy(found: ClothSimulator) -> float:
     """J: of motion, of height and of what is stretched, shorter or bent."""
     model = found.model
     corners = model.positions[model.faces]
-    d, h = distances_of(model.faces, corners), hinges_of(model.faces, corners)
+    d = distances_of(model.faces, corners, False)
+    h = hinges_of(model.faces, corners, False)
     fabric = model.fabric
     stiffness = (
         np.array([fabric.stretch, fabric.shear])[np.repeat(d.kind, np.diff(d.first))] / d.unit

@@ -30,21 +30,22 @@ T = TypeVar("T", "Distances", "Hinges")
 
 
 def once_each(
-    find: Callable[[np.ndarray, np.ndarray], T],
-) -> Callable[[np.ndarray, np.ndarray], T]:
+    find: Callable[[np.ndarray, np.ndarray, bool], T],
+) -> Callable[[np.ndarray, np.ndarray, bool], T]:
     """`find`, of triangles (F, 3) and their corners, worked out once for those last asked for: training, evaluation and
     settling ask for the same garment. What it returns cannot be written to."""
 
     @lru_cache(maxsize=8)
-    def found(*arrays: tuple[bytes, np.dtype, tuple[int, ...]]) -> T:
-        result = find(*(np.frombuffer(b, dtype).reshape(shape) for b, dtype, shape in arrays))
+    def found(threads: bool, *arrays: tuple[bytes, np.dtype, tuple[int, ...]]) -> T:
+        faces, corners = (np.frombuffer(b, dtype).reshape(shape) for b, dtype, shape in arrays)
+        result = find(faces, corners, threads)
         for array in vars(result).values():
             array.setflags(write=False)
         return result
 
     @wraps(find)
-    def asked(faces: np.ndarray, corners: np.ndarray) -> T:
-        return found(*((a.tobytes(), a.dtype, a.shape) for a in (faces, corners)))
+    def asked(faces: np.ndarray, corners: np.ndarray, threads: bool) -> T:
+        return found(threads, *((a.tobytes(), a.dtype, a.shape) for a in (faces, corners)))
 
     return asked
 
@@ -85,11 +86,12 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @once_each
-def distances_of(faces: np.ndarray, corners: np.ndarray) -> Distances:
+def distances_of(faces: np.ndarray, corners: np.ndarray, threads: bool) -> Distances:
     """The edges of triangles `faces` (F, 3) whose rest shape has the `corners` (F, 3, 2 or 3).
 
     Stiffness is k = E Σ area / length² over an edge's triangles (Van Gelder 1998, Approximate simulation of
-    elastic membranes by triangulated spring meshes, equation 1).
+    elastic membranes by triangulated spring meshes, equation 1). Those of a colour are spread where `threads` go
+    through them side by side.
     """
     edges, index = edges_of(faces)
     count = len(edges)
@@ -108,17 +110,20 @@ def distances_of(faces: np.ndarray, corners: np.ndarray) -> Distances:
         if len(these):
             colour[these] = len(kinds) + colours_of(edges[these])
             kinds += [kind] * (int(colour[these].max()) + 1 - len(kinds))
-    order = spread(np.lexsort((edges[:, 1], edges[:, 0], colour)), colour, edges)
+    order = np.lexsort((edges[:, 1], edges[:, 0], colour))
+    if threads:
+        order = spread(order, colour, edges)
     first = np.concatenate([[0], np.cumsum(np.bincount(colour, minlength=len(kinds)))])
     return Distances(edges[order], length[order], unit[order], first, np.array(kinds))
 
 
 @once_each
-def hinges_of(faces: np.ndarray, corners: np.ndarray) -> Hinges:
+def hinges_of(faces: np.ndarray, corners: np.ndarray, threads: bool) -> Hinges:
     """The edges with two triangles, and how each resists bending: E = ½ B / (A_1 + A_2) |Σ weight_i x_i|²,
     quadratic, for cloth that is flat at rest and hardly stretches (Bergou et al. 2006, A quadratic bending
     model for inextensible surfaces, section 3). They have 3 B: with B a cylinder has the energy
-    ½ B κ² an area on meshes of equal triangles, whatever its axis, and on grids along their axes."""
+    ½ B κ² an area on meshes of equal triangles, whatever its axis, and on grids along their axes. Those of a colour
+    are spread where `threads` go through them side by side."""
     _, index = edges_of(faces)
     order = np.argsort(index.ravel(), kind="stable")
     shared = np.flatnonzero(np.diff(index.ravel()[order]) == 0)
@@ -145,7 +150,9 @@ def hinges_of(faces: np.ndarray, corners: np.ndarray) -> Hinges:
     if not len(quads):
         return Hinges(quads, weights, areas, np.zeros(1, int))
     colour = even_out(colours_of(quads), quads)
-    order = spread(np.lexsort((quads[:, 0], colour)), colour, quads)
+    order = np.lexsort((quads[:, 0], colour))
+    if threads:
+        order = spread(order, colour, quads)
     first = np.concatenate([[0], np.cumsum(np.bincount(colour))])
     return Hinges(quads[order], weights[order], areas[order], first)
 

@@ -179,10 +179,9 @@ class ClothSimulator(WarpSimulator):
         pinned = _indices(model.pinned, v, "pinned")
         members = [_indices(grip.vertices, v, f"of grip {k}") for k, grip in enumerate(model.grips)]
         self._check(model, pinned, members)
-        found = distances_of(faces, corners)
-        hinges = hinges_of(
-            faces[: f if fabric.bending else 0], corners[: f if fabric.bending else 0]
-        )
+        threads, bent = self._device.type == "cuda", f if fabric.bending else 0
+        found = distances_of(faces, corners, threads)
+        hinges = hinges_of(faces[:bent], corners[:bent], threads)
         edges, index = edges_of(faces)
         sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
         length = np.zeros(len(edges))
