@@ -19,7 +19,7 @@ from understudy.setup.plugins import installed
 #: What takes long, and is imported where it is first needed: by optimisers, films, pages, progress, searches.
 LATE = (
     "pytest", "PIL.ImageDraw", "imageio_ffmpeg", "rich.live", "rich.progress", "scipy.optimize",
-    "scipy.spatial", "tensorboard.summary.writer.event_file_writer", "trimesh", "understudy.testing",
+    "scipy.signal", "scipy.spatial", "tensorboard.summary.writer.event_file_writer", "trimesh", "understudy.testing",
     "understudy_ppo.learner", "understudy_report.page", "understudy_report.video", "understudy_sweeps.processes",
     "commands", "executors", "worlds",
 )  # fmt: skip

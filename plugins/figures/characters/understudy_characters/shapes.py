@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from understudy_characters.character import Character, Geom
 from understudy_motion.clip import Skeleton
 from understudy_motion.writing import Shape
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["bones", "shapes", "surface_points"]
 
@@ -66,6 +69,8 @@ def body_shapes(character: Character, body: int) -> list[Shape]:
 
 def _mesh(character: Character, geom: int) -> trimesh.Trimesh:
     kind, size = int(character.model.geom_type[geom]), character.model.geom_size[geom]
+    import trimesh  # a third of a second, and few ask for surfaces
+
     make, types = trimesh.creation, mujoco.mjtGeom
     if kind == types.mjGEOM_SPHERE:
         return make.icosphere(subdivisions=2, radius=size[0])

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from understudy.errors import ConfigError
@@ -153,6 +152,8 @@ def smooth(clip: Clip, cutoff: float) -> Clip:
     pad = math.ceil(2.0 * clip.frame_rate / cutoff)
     if cutoff >= 0.95 * nyquist or clip.duration * cutoff < 1.0:
         return clip
+    from scipy.signal import butter, sosfiltfilt  # half a second, and few filter
+
     sections = butter(2, cutoff / nyquist, output="sos")
     if clip.loop:
         steps = torch.arange(-pad, clip.num_frames + pad, dtype=torch.float64)

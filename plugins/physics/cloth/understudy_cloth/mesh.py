@@ -81,7 +81,10 @@ def face_areas(corners: np.ndarray) -> np.ndarray:
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The edges (E, 2), lower vertex first, and for each (F, 3) the edge from its corner k to k + 1."""
     sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
-    edges, index = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    count = int(faces.max(initial=0)) + 1
+    numbers = sides[..., 0].astype(np.int64) * count + sides[..., 1]  # of one column: sorted sooner
+    found, index = np.unique(numbers, return_inverse=True)
+    edges = np.stack(np.divmod(found, count), axis=1).astype(faces.dtype)
     return edges, index.reshape(-1, 3)
 
 
