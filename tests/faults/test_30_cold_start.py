@@ -36,3 +36,13 @@ assert time.monotonic() - began < 60
         WARP_CACHE_PATH=nowhere, CUDA_VISIBLE_DEVICES="", PYTHONDONTWRITEBYTECODE="1",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+
+
+def test_what_every_training_imports_leaves_out_what_few_need(tmp_path: Path) -> None:
+    code = """
+import sys
+import understudy_motion.editing, understudy_characters.shapes
+print(sorted({"scipy.signal", "scipy.stats", "trimesh"} & sys.modules.keys()))
+"""
+    done = python(code, cwd=tmp_path)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr

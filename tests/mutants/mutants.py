@@ -483,6 +483,8 @@ MUTANTS = (
            'GROUP = "understudy"\n(Path.home() / ".understudy").mkdir(exist_ok=True)\n', "tests/faults/test_30_cold_start.py"),
     Mutant("a cache that cannot be written is used", "plugins/physics/warp_torch/understudy_warp_torch/kernels.py",
            "    wp.config.kernel_cache_dir = temporary\n", "", "tests/plugins/warp_torch/test_kernels.py"),
+    Mutant("headers that are kept are not taken", "plugins/physics/warp_torch/understudy_warp_torch/headers.py",
+           "            _copy_new(kept, own)\n", "", "tests/plugins/warp_torch/test_headers.py"),
     # The rest.
     Mutant("a diverged environment is measured", "benchmarks/cpu.py", 'if int(environment.quarantined):',
            "if False:", "tests/faults/test_29_invalid_benchmarks.py"),
