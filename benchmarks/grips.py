@@ -5,7 +5,9 @@ the palm and how deep anything is in it, and writes ``docs/benchmarks/grips.json
 the page of chopsticks. ``--device cuda`` holds the standard one in MuJoCo Warp instead, parallel, in many worlds, and appends a row to
 ``docs/benchmarks/grips_warp.jsonl``. ``--searched FOLDER`` holds the grips that a search over styles found (``STYLE.json``, of
 ``benchmarks/styles.py --grips``) in its place, into ``docs/benchmarks/grips_searched.jsonl``, with what its three motions score under fixed
-targets and how far the fingers are in each other, which the hand's model allows.
+targets and how far the fingers are in each other, which the hand's model allows. ``--apart FOLDER`` finds a grip of each of these styles
+whose fingers keep 0.5 mm from one another, at the same places or, where there is none, at places that are drawn about them, into
+``docs/benchmarks/grips_apart.jsonl``; ``--keep FOLDER`` keeps them there.
 """
 
 from __future__ import annotations
@@ -13,40 +15,43 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-from dataclasses import asdict
-from itertools import combinations
+import tempfile
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from held import measured
 
+from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
-from understudy_gripping.grip import Grip, load_grip
-from understudy_gripping.hold import hold, placed
+from understudy_gripping.grip import Grip, find_grip, load_grip, search_grip
+from understudy_gripping.hold import hold, nearest_fingers, placed
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
-from understudy_hand.table import ARM_POSE, FINGERS
+from understudy_hand.table import ARM_POSE
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "grips.jsonl"
 SEARCHED = RESULTS.with_name("grips_searched.jsonl")
+APART = RESULTS.with_name("grips_apart.jsonl")
 WARP = RESULTS.with_name("grips_warp.jsonl")
+#: m that fingers keep apart, and how many places are drawn where those that were found have no such pose.
+CLEARANCE, TRIES = 5e-4, 48
 SECONDS, SETTLE = 10.0, 1.0
 
 
-def row(name: str, path: Path) -> dict[str, Any]:
-    """The grip in the file `path`, at the worst of its angles; mm."""
+def row(name: str, path: Path, self_collision: bool = False) -> dict[str, Any]:
+    """The grip in the file `path`, at the worst of its angles; mm. With `self_collision` fingers touch one another."""
     grip = load_grip(path)
     if grip.robot:  # of a package, as the scene of its name has it
         options = load_experiment([f"scene=hand/{name}"]).need("scene").options
         assert isinstance(options, HandScene.Options)
     else:
         options = HandScene.Options(**asdict(grip.measures), tool=grip.tool)
-    scene = HandScene(options)
+    scene = HandScene(replace(options, self_collision=self_collision))
     every = [grip.held(scene, k, SECONDS, SETTLE) for k in range(len(grip.angles))]
     return {
         "grip": name,
@@ -82,18 +87,45 @@ def still(path: Path) -> float:
 def overlap(grip: Grip) -> tuple[float, list[str]]:
     """mm, and which two links: how far two fingers are in each other at the most, held parallel and closed; below 0 they are apart."""
     scene = HandScene(HandScene.Options(**asdict(grip.measures), tool=grip.tool))
-    model, deepest = scene.model, (-50.0, list[str]())
-    of_fingers = [n for n in scene.links if n.partition("_")[0] in FINGERS]
-    links = {n: model.geom(n).id for n in of_fingers if "metacarpal" not in n}
+    nearest = []
     for row in (0, len(grip.angles) - 1):
         data = placed(scene, np.array(ARM_POSE), grip.poses[row], grip.upper[row], grip.lower)
         hold(scene, data, np.array([*ARM_POSE, *grip.targets[row]]))
-        mujoco.mj_forward(model, data)
-        for one, other in combinations(links, 2):
-            if one.partition("_")[0] != other.partition("_")[0]:
-                apart = mujoco.mj_geomDistance(model, data, links[one], links[other], 0.05, None)
-                deepest = max(deepest, (-1e3 * apart, [one, other]))
-    return deepest
+        nearest.append(nearest_fingers(scene, data))
+    distance, links = min(nearest)
+    return -1e3 * distance, list(links)
+
+
+def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
+    """A grip of the style and, if there is one, the places of that in `path`, whose fingers keep apart; saved in `folder`."""
+    before = load_grip(path)
+    scene, found, why = HandScene(HandScene.Options(**asdict(before.measures))), None, ""
+    for tries in (0, TRIES):
+        try:
+            if tries:
+                found = search_grip(
+                    scene, before.style, before.places, tries, finger_clearance=CLEARANCE
+                )
+            else:
+                found = find_grip(scene, before.style, before.places, finger_clearance=CLEARANCE)
+            break
+        except ConfigError as error:
+            why = why or str(error)
+    about = {"clearance": 1e3 * CLEARANCE, "tries": tries, "at_the_same_places": why}
+    if found is None:
+        return {"grip": path.stem, "when": datetime.date.today().isoformat(), **about, "holds": 0}
+    found.save(file := folder / path.name)
+    deep, links = overlap(found)
+    touching = row(path.stem, file, self_collision=True)
+    kept = {f"touching_{name}": touching[name] for name in ("fell", "slip", "depth")}
+    one = {**row(path.stem, file), **about, **kept, "places": found.places}
+    return {
+        **one,
+        "holds": int(not one["fell"]),
+        "still": still(file),
+        "overlap": deep,
+        "overlapping": links,
+    }
 
 
 @torch.no_grad()
@@ -136,6 +168,8 @@ def main() -> None:
         "--only", nargs="+", metavar="GRIP", help="measure these anew and leave the others"
     )
     parser.add_argument("--searched", type=Path, metavar="FOLDER", help="of grips that were found")
+    parser.add_argument("--apart", type=Path, metavar="FOLDER", help="of grips that were found")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for those whose fingers keep apart")  # fmt: skip
     given = parser.parse_args()
     if given.device is not None:
         line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
@@ -152,6 +186,19 @@ def main() -> None:
             print(json.dumps(found[-1]), flush=True)
         lines = [json.dumps(one) + "\n" for one in found]
         SEARCHED.write_text("".join(lines), encoding="utf-8")
+        return
+    if given.apart is not None:
+        with tempfile.TemporaryDirectory() as other:
+            folder = given.keep or Path(other)
+            folder.mkdir(parents=True, exist_ok=True)
+            known = APART.read_text().splitlines() if given.only and APART.exists() else []
+            rows = {r["grip"]: r for r in map(json.loads, known)}
+            for path in sorted(given.apart.glob("*.json")):
+                if not given.only or path.stem in given.only:
+                    rows[path.stem] = kept_apart(path, folder)
+                    print(json.dumps(rows[path.stem]), flush=True)
+        lines = [json.dumps(rows[name]) + "\n" for name in sorted(rows)]
+        APART.write_text("".join(lines), encoding="utf-8")
         return
     registry = load().registry
     rows = {r["grip"]: r for r in map(json.loads, RESULTS.read_text().splitlines())}
