@@ -7,7 +7,8 @@ the page of chopsticks. ``--device cuda`` holds the standard one in MuJoCo Warp 
 ``benchmarks/styles.py --grips``) in its place, into ``docs/benchmarks/grips_searched.jsonl``, with what its three motions score under fixed
 targets and how far the fingers are in each other, which the hand's model allows. ``--apart FOLDER`` finds a grip of each of these styles
 whose fingers keep 0.5 mm from one another, at the same places or, where there is none, at places that are drawn about them, into
-``docs/benchmarks/grips_apart.jsonl``; ``--keep FOLDER`` keeps them there.
+``docs/benchmarks/grips_apart.jsonl``; ``--keep FOLDER`` keeps them there. ``--touching`` holds the packaged ones with fingers that touch one
+another (``scene.self_collision``) into ``docs/benchmarks/grips_touching.jsonl``, with what that costs.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ import argparse
 import datetime
 import json
 import tempfile
+import time
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from held import measured
@@ -30,6 +34,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
 from understudy_gripping.grip import Grip, find_grip, load_grip, search_grip
 from understudy_gripping.hold import hold, nearest_fingers, placed
+from understudy_gripping.holding import holding
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
@@ -38,8 +43,9 @@ RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "grips.jsonl"
 SEARCHED = RESULTS.with_name("grips_searched.jsonl")
 APART = RESULTS.with_name("grips_apart.jsonl")
 WARP = RESULTS.with_name("grips_warp.jsonl")
-#: m that fingers keep apart, and how many places are drawn where those that were found have no such pose.
-CLEARANCE, TRIES = 5e-4, 48
+TOUCHING = RESULTS.with_name("grips_touching.jsonl")
+#: m that fingers keep apart. How many places are drawn, and with which seed: none; about those that were found; about a first guess.
+CLEARANCE, ROUNDS = 5e-4, ((0, 0), (48, 0), (96, 1))
 SECONDS, SETTLE = 10.0, 1.0
 
 
@@ -100,11 +106,12 @@ def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
     """A grip of the style and, if there is one, the places of that in `path`, whose fingers keep apart; saved in `folder`."""
     before = load_grip(path)
     scene, found, why = HandScene(HandScene.Options(**asdict(before.measures))), None, ""
-    for tries in (0, TRIES):
+    for tries, seed in ROUNDS:
         try:
             if tries:
+                middle = before.places if seed == 0 else holding("sticks").first_guess(before.style)
                 found = search_grip(
-                    scene, before.style, before.places, tries, finger_clearance=CLEARANCE
+                    scene, before.style, middle, tries, seed, finger_clearance=CLEARANCE
                 )
             else:
                 found = find_grip(scene, before.style, before.places, finger_clearance=CLEARANCE)
@@ -116,8 +123,7 @@ def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
         return {"grip": path.stem, "when": datetime.date.today().isoformat(), **about, "holds": 0}
     found.save(file := folder / path.name)
     deep, links = overlap(found)
-    touching = row(path.stem, file, self_collision=True)
-    kept = {f"touching_{name}": touching[name] for name in ("fell", "slip", "depth")}
+    kept = _touching(path.stem, file)
     one = {**row(path.stem, file), **about, **kept, "places": found.places}
     return {
         **one,
@@ -126,6 +132,43 @@ def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
         "overlap": deep,
         "overlapping": links,
     }
+
+
+def touching() -> Iterator[dict[str, Any]]:
+    """Packaged grips, and the standard one found anew with fingers that keep apart, with fingers that touch one another beside those
+    that do not; of the standard one what that costs."""
+    registry = load().registry
+    paths = {name: registry.find("grip", name).factory() for name in registry.names("grip")}
+    grip = load_grip(paths["standard"])
+    with tempfile.TemporaryDirectory() as folder:
+        paths["standard, apart"] = Path(folder) / "grip.json"
+        scene = HandScene(HandScene.Options())
+        anew = find_grip(scene, grip.style, grip.places, finger_clearance=CLEARANCE)
+        anew.save(paths["standard, apart"])
+        for name, path in paths.items():
+            if not (one := load_grip(path)).holds or one.robot:
+                continue
+            deep, links = overlap(one)
+            found = {**row(name, path), **_touching(name, path)}
+            yield {**found, "overlap": deep, "overlapping": links}
+    rates: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(5):
+        for on, of in rates.items():
+            scene = HandScene(HandScene.Options(self_collision=on))
+            data = placed(scene, np.array(ARM_POSE), grip.poses[0], grip.upper[0], grip.lower)
+            data.ctrl[:] = [*ARM_POSE, *grip.targets[0]]
+            mujoco.mj_step(scene.model, data, 100)
+            begun = time.process_time()
+            mujoco.mj_step(scene.model, data, 1500)
+            of.append(1500 / (time.process_time() - begun))
+    apart, met = (float(np.median(rates[on])) for on in (False, True))
+    when = datetime.date.today().isoformat()
+    yield {"grip": "standard, steps a second of a core", "when": when, "free": apart, "touching": met, "ratio": apart / met}  # fmt: skip
+
+
+def _touching(name: str, path: Path) -> dict[str, Any]:
+    found = row(name, path, self_collision=True)
+    return {f"touching_{key}": found[key] for key in ("fell", "slip", "depth")}
 
 
 @torch.no_grad()
@@ -168,6 +211,7 @@ def main() -> None:
         "--only", nargs="+", metavar="GRIP", help="measure these anew and leave the others"
     )
     parser.add_argument("--searched", type=Path, metavar="FOLDER", help="of grips that were found")
+    parser.add_argument("--touching", action="store_true", help="with fingers that touch one another")  # fmt: skip
     parser.add_argument("--apart", type=Path, metavar="FOLDER", help="of grips that were found")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for those whose fingers keep apart")  # fmt: skip
     given = parser.parse_args()
@@ -186,6 +230,13 @@ def main() -> None:
             print(json.dumps(found[-1]), flush=True)
         lines = [json.dumps(one) + "\n" for one in found]
         SEARCHED.write_text("".join(lines), encoding="utf-8")
+        return
+    if given.touching:
+        lines = []
+        for one in touching():
+            lines.append(json.dumps(one) + "\n")
+            print(lines[-1], end="", flush=True)
+        TOUCHING.write_text("".join(lines), encoding="utf-8")
         return
     if given.apart is not None:
         with tempfile.TemporaryDirectory() as other:
