@@ -106,7 +106,9 @@ def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
     """A grip of the style and, if there is one, the places of that in `path`, whose fingers keep apart; saved in `folder`."""
     before = load_grip(path)
     scene, found, why = HandScene(HandScene.Options(**asdict(before.measures))), None, ""
+    drawn = 0
     for tries, seed in ROUNDS:
+        drawn += tries
         try:
             if tries:
                 middle = before.places if seed == 0 else holding("sticks").first_guess(before.style)
@@ -118,7 +120,7 @@ def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
             break
         except ConfigError as error:
             why = why or str(error)
-    about = {"clearance": 1e3 * CLEARANCE, "tries": tries, "at_the_same_places": why}
+    about = {"clearance": 1e3 * CLEARANCE, "tries": drawn, "at_the_same_places": why}
     if found is None:
         return {"grip": path.stem, "when": datetime.date.today().isoformat(), **about, "holds": 0}
     found.save(file := folder / path.name)
