@@ -5,7 +5,10 @@ the palm and how deep anything is in it, and writes ``docs/benchmarks/grips.json
 the page of chopsticks. ``--device cuda`` holds the standard one in MuJoCo Warp instead, parallel, in many worlds, and appends a row to
 ``docs/benchmarks/grips_warp.jsonl``. ``--searched FOLDER`` holds the grips that a search over styles found (``STYLE.json``, of
 ``benchmarks/styles.py --grips``) in its place, into ``docs/benchmarks/grips_searched.jsonl``, with what its three motions score under fixed
-targets and how far the fingers are in each other, which the hand's model allows.
+targets and how far the fingers are in each other, which the hand's model allows. ``--apart FOLDER`` finds a grip of each of these styles
+whose fingers keep 0.5 mm from one another, at the same places or, where there is none, at places that are drawn about them, into
+``docs/benchmarks/grips_apart.jsonl``; ``--keep FOLDER`` keeps them there. ``--touching`` holds the packaged ones with fingers that touch one
+another (``scene.self_collision``) into ``docs/benchmarks/grips_touching.jsonl``, with what that costs.
 """
 
 from __future__ import annotations
@@ -13,8 +16,10 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-from dataclasses import asdict
-from itertools import combinations
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,30 +28,36 @@ import numpy as np
 import torch
 from held import measured
 
+from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
-from understudy_gripping.grip import Grip, load_grip
-from understudy_gripping.hold import hold, placed
+from understudy_gripping.grip import Grip, find_grip, load_grip, search_grip
+from understudy_gripping.hold import hold, nearest_fingers, placed
+from understudy_gripping.holding import holding
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
-from understudy_hand.table import ARM_POSE, FINGERS
+from understudy_hand.table import ARM_POSE
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "grips.jsonl"
 SEARCHED = RESULTS.with_name("grips_searched.jsonl")
+APART = RESULTS.with_name("grips_apart.jsonl")
 WARP = RESULTS.with_name("grips_warp.jsonl")
+TOUCHING = RESULTS.with_name("grips_touching.jsonl")
+#: m that fingers keep apart. How many places are drawn, and with which seed: none; about those that were found; about a first guess.
+CLEARANCE, ROUNDS = 5e-4, ((0, 0), (48, 0), (96, 1))
 SECONDS, SETTLE = 10.0, 1.0
 
 
-def row(name: str, path: Path) -> dict[str, Any]:
-    """The grip in the file `path`, at the worst of its angles; mm."""
+def row(name: str, path: Path, self_collision: bool = False) -> dict[str, Any]:
+    """The grip in the file `path`, at the worst of its angles; mm. With `self_collision` fingers touch one another."""
     grip = load_grip(path)
     if grip.robot:  # of a package, as the scene of its name has it
         options = load_experiment([f"scene=hand/{name}"]).need("scene").options
         assert isinstance(options, HandScene.Options)
     else:
         options = HandScene.Options(**asdict(grip.measures), tool=grip.tool)
-    scene = HandScene(options)
+    scene = HandScene(replace(options, self_collision=self_collision))
     every = [grip.held(scene, k, SECONDS, SETTLE) for k in range(len(grip.angles))]
     return {
         "grip": name,
@@ -82,18 +93,84 @@ def still(path: Path) -> float:
 def overlap(grip: Grip) -> tuple[float, list[str]]:
     """mm, and which two links: how far two fingers are in each other at the most, held parallel and closed; below 0 they are apart."""
     scene = HandScene(HandScene.Options(**asdict(grip.measures), tool=grip.tool))
-    model, deepest = scene.model, (-50.0, list[str]())
-    of_fingers = [n for n in scene.links if n.partition("_")[0] in FINGERS]
-    links = {n: model.geom(n).id for n in of_fingers if "metacarpal" not in n}
+    nearest = []
     for row in (0, len(grip.angles) - 1):
         data = placed(scene, np.array(ARM_POSE), grip.poses[row], grip.upper[row], grip.lower)
         hold(scene, data, np.array([*ARM_POSE, *grip.targets[row]]))
-        mujoco.mj_forward(model, data)
-        for one, other in combinations(links, 2):
-            if one.partition("_")[0] != other.partition("_")[0]:
-                apart = mujoco.mj_geomDistance(model, data, links[one], links[other], 0.05, None)
-                deepest = max(deepest, (-1e3 * apart, [one, other]))
-    return deepest
+        nearest.append(nearest_fingers(scene, data))
+    distance, links = min(nearest)
+    return -1e3 * distance, list(links)
+
+
+def kept_apart(path: Path, folder: Path) -> dict[str, Any]:
+    """A grip of the style and, if there is one, the places of that in `path`, whose fingers keep apart; saved in `folder`."""
+    before = load_grip(path)
+    scene, found, why = HandScene(HandScene.Options(**asdict(before.measures))), None, ""
+    drawn = 0
+    for tries, seed in ROUNDS:
+        drawn += tries
+        try:
+            if tries:
+                middle = before.places if seed == 0 else holding("sticks").first_guess(before.style)
+                found = search_grip(
+                    scene, before.style, middle, tries, seed, finger_clearance=CLEARANCE
+                )
+            else:
+                found = find_grip(scene, before.style, before.places, finger_clearance=CLEARANCE)
+            break
+        except ConfigError as error:
+            why = why or str(error)
+    about = {"clearance": 1e3 * CLEARANCE, "tries": drawn, "at_the_same_places": why}
+    if found is None:
+        return {"grip": path.stem, "when": datetime.date.today().isoformat(), **about, "holds": 0}
+    found.save(file := folder / path.name)
+    deep, links = overlap(found)
+    kept = _touching(path.stem, file)
+    one = {**row(path.stem, file), **about, **kept, "places": found.places}
+    return {
+        **one,
+        "holds": int(not one["fell"]),
+        "still": still(file),
+        "overlap": deep,
+        "overlapping": links,
+    }
+
+
+def touching() -> Iterator[dict[str, Any]]:
+    """Packaged grips, and the standard one found anew with fingers that keep apart, with fingers that touch one another beside those
+    that do not; of the standard one what that costs."""
+    registry = load().registry
+    paths = {name: registry.find("grip", name).factory() for name in registry.names("grip")}
+    grip = load_grip(paths["standard"])
+    with tempfile.TemporaryDirectory() as folder:
+        paths["standard, apart"] = Path(folder) / "grip.json"
+        scene = HandScene(HandScene.Options())
+        anew = find_grip(scene, grip.style, grip.places, finger_clearance=CLEARANCE)
+        anew.save(paths["standard, apart"])
+        for name, path in paths.items():
+            if not (one := load_grip(path)).holds or one.robot:
+                continue
+            deep, links = overlap(one)
+            found = {**row(name, path), **_touching(name, path)}
+            yield {**found, "overlap": deep, "overlapping": links}
+    rates: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(5):
+        for on, of in rates.items():
+            scene = HandScene(HandScene.Options(self_collision=on))
+            data = placed(scene, np.array(ARM_POSE), grip.poses[0], grip.upper[0], grip.lower)
+            data.ctrl[:] = [*ARM_POSE, *grip.targets[0]]
+            mujoco.mj_step(scene.model, data, 100)
+            begun = time.process_time()
+            mujoco.mj_step(scene.model, data, 1500)
+            of.append(1500 / (time.process_time() - begun))
+    apart, met = (float(np.median(rates[on])) for on in (False, True))
+    when = datetime.date.today().isoformat()
+    yield {"grip": "standard, steps a second of a core", "when": when, "free": apart, "touching": met, "ratio": apart / met}  # fmt: skip
+
+
+def _touching(name: str, path: Path) -> dict[str, Any]:
+    found = row(name, path, self_collision=True)
+    return {f"touching_{key}": found[key] for key in ("fell", "slip", "depth")}
 
 
 @torch.no_grad()
@@ -136,6 +213,9 @@ def main() -> None:
         "--only", nargs="+", metavar="GRIP", help="measure these anew and leave the others"
     )
     parser.add_argument("--searched", type=Path, metavar="FOLDER", help="of grips that were found")
+    parser.add_argument("--touching", action="store_true", help="with fingers that touch one another")  # fmt: skip
+    parser.add_argument("--apart", type=Path, metavar="FOLDER", help="of grips that were found")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for those whose fingers keep apart")  # fmt: skip
     given = parser.parse_args()
     if given.device is not None:
         line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
@@ -152,6 +232,26 @@ def main() -> None:
             print(json.dumps(found[-1]), flush=True)
         lines = [json.dumps(one) + "\n" for one in found]
         SEARCHED.write_text("".join(lines), encoding="utf-8")
+        return
+    if given.touching:
+        lines = []
+        for one in touching():
+            lines.append(json.dumps(one) + "\n")
+            print(lines[-1], end="", flush=True)
+        TOUCHING.write_text("".join(lines), encoding="utf-8")
+        return
+    if given.apart is not None:
+        with tempfile.TemporaryDirectory() as other:
+            folder = given.keep or Path(other)
+            folder.mkdir(parents=True, exist_ok=True)
+            known = APART.read_text().splitlines() if given.only and APART.exists() else []
+            rows = {r["grip"]: r for r in map(json.loads, known)}
+            for path in sorted(given.apart.glob("*.json")):
+                if not given.only or path.stem in given.only:
+                    rows[path.stem] = kept_apart(path, folder)
+                    print(json.dumps(rows[path.stem]), flush=True)
+        lines = [json.dumps(rows[name]) + "\n" for name in sorted(rows)]
+        APART.write_text("".join(lines), encoding="utf-8")
         return
     registry = load().registry
     rows = {r["grip"]: r for r in map(json.loads, RESULTS.read_text().splitlines())}

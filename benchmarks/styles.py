@@ -44,6 +44,19 @@ def _failures(style: str, folder: Path) -> dict[str, int]:
     return {"no_pose": poses, "falls": len(against) - poses}
 
 
+def with_known(row: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """A style's `row` whose failures are those of the rounds whose folders are here, with those of the other rounds as `known` has
+    them, a row of the same search before it went on somewhere else."""
+    names = ("no_pose", "falls")
+    before, here = (sum(one[name] for name in names) for one in (known, row))
+    failed = row["evaluations"] - row["held"]
+    if failed == before:  # nothing is new
+        return {**row, **{name: known[name] for name in names}}
+    if failed == before + here:
+        return {**row, **{name: known[name] + row[name] for name in names}}
+    return row
+
+
 def keep_grip(folder: Path, row: Mapping[str, Any], place: Path) -> None:
     """The grip of a style's best trial, which its run keeps."""
     if (path := grip_file(folder, row)) is not None:
@@ -63,6 +76,8 @@ def main() -> None:
     kept = [json.loads(line) for line in lines]
     for folder in given.folders:
         made = list(rows(folder))
+        known = {row["style"]: row for row in kept if row["seed"] == made[0]["seed"]}
+        made = [with_known(row, known.get(row["style"], row)) for row in made]
         kept = [row for row in kept if row["seed"] != made[0]["seed"]]
         about = {"when": datetime.date.today().isoformat(), "machine": given.machine}
         kept += [{**about, **row} for row in made]

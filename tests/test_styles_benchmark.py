@@ -18,6 +18,17 @@ import styles
 OPTIONS = {"styles": ["10012", "11120"], "evaluations": 3, "initial": 3, "together": 2}
 
 
+def test_failures_of_rounds_whose_folders_are_gone_are_those_on_record() -> None:
+    """A journal that goes on elsewhere brings no folders of its first rounds; doing it again adds nothing."""
+    known = {"evaluations": 7, "held": 3, "no_pose": 1, "falls": 3}
+    found = {"evaluations": 10, "held": 4, "no_pose": 2, "falls": 0}
+    whole = {"evaluations": 10, "held": 4, "no_pose": 3, "falls": 3}
+    assert styles.with_known(found, known) == whole
+    assert styles.with_known(found, whole) == whole
+    assert styles.with_known(whole, known) == whole, "with all of its folders"
+    assert styles.with_known(known, known) == known
+
+
 def test_a_style_has_its_best_score_its_curve_and_its_grip(tmp_path: Path) -> None:
     search = GripSearch(GripSearch.Options(**{**OPTIONS, "styles": ("10012", "11120")}), 4)
     journal = Journal(tmp_path / "journal.jsonl")

@@ -124,6 +124,7 @@ def test_styles_that_are_none(options: dict[str, object], said: str) -> None:
         ({"style": "11120", "places": {"thumb": 0.03}}, "are those of thumb, index, middle, ring"),
         ({"style": "11200", "places": {"thumb": 0.3, "index": 0.0, "middle": 0.0}}, "grip.places.thumb=0.3 is not on"),
         ({"style": "12"}, "has 2 entries"),
+        ({"finger_clearance": 1e-3}, "grip.finger_clearance is of grips that are found"),
         ({"style": "11211"}, "cross"),
     ],
 )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -16,6 +17,7 @@ from understudy_gripping.kinematics import HandKinematics, stick_ends
 from understudy_gripping.pose import Candidate, PoseSolver, _Problem
 from understudy_gripping.styles import NAMED, styles
 from understudy_hand.scene import HandScene
+from understudy_hand.table import FINGERS
 from understudy_hand.tools import HALF_LENGTH, RADIUS
 from understudy_tensors.segments import segment_distance
 
@@ -100,8 +102,11 @@ def test_distances_are_mujocos(scene: HandScene) -> None:
                     assert distance == pytest.approx(expected, abs=2e-4), name
 
 
-def test_the_gradient_of_the_cost_is_right(scene: HandScene) -> None:
-    solver = PoseSolver(scene)
+@pytest.mark.parametrize(
+    "clearance", [None, 5e-4]
+)  # knuckles are 1 mm apart, so the barrier is met
+def test_the_gradient_of_the_cost_is_right(scene: HandScene, clearance: float | None) -> None:
+    solver = PoseSolver(scene, clearance)
     chosen = [NAMED["standard"], styles(5)[0]]
     problem = _Problem(
         solver, [Candidate(style, holding("sticks").first_guess(style)) for style in chosen]
@@ -121,6 +126,31 @@ def test_the_gradient_of_the_cost_is_right(scene: HandScene) -> None:
             moved[:, column] = step
             difference = (problem.cost(point + moved) - problem.cost(point - moved)) / (2 * step)
             torch.testing.assert_close(slope[:, column], difference, rtol=1e-3, atol=1e-2)
+
+
+def test_fingers_keep_apart_where_it_is_asked_for(scene: HandScene) -> None:
+    """A style whose ring and little finger are otherwise in each other, by MuJoCo's own distances of all links of different
+    fingers, but for bones of the palm."""
+    places = (0.032791, 0.0038124, -0.0107753, -0.0272758, -0.0082378)
+    model, nearest = scene.model, []
+    for clearance in (None, 5e-4):
+        found = PoseSolver(scene, clearance).solve(
+            [Candidate((1, 1, 1, 1, 2), places)], 150, angles=[0.0]
+        )
+        data = mujoco.MjData(model)
+        for name, value in zip(found.hinges, found.pose[0].tolist(), strict=True):
+            data.joint(name).qpos = value
+        mujoco.mj_kinematics(model, data)
+        links = [f"{f}_{part}" for f in FINGERS for part in ("proximal", "middle", "distal")]
+        pairs = [
+            p for p in combinations(links, 2) if p[0].partition("_")[0] != p[1].partition("_")[0]
+        ]
+        nearest.append(
+            min(mujoco.mj_geomDistance(model, data, model.geom(a).id, model.geom(b).id, 0.05, None) for a, b in pairs)
+        )  # fmt: skip
+        assert found.gaps[0] < 2e-3
+    assert nearest[0] < -2e-3, "so there is something to keep apart"
+    assert nearest[1] >= 5e-4
 
 
 def test_candidates_do_not_change_one_another(scene: HandScene) -> None:

@@ -133,6 +133,16 @@ def test_a_pose_whose_sticks_fall_is_no_grip(grip: Grip) -> None:
         find_grip(scene(contact=soft), NAMED["standard"], grip.places, iterations=80)
 
 
+def test_fingers_that_cannot_keep_apart_are_said(
+    grip: Grip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near = (-0.0032, ("ring_distal", "little_distal"))
+    monkeypatch.setattr("understudy_gripping.grip.nearest_fingers", lambda *_: near)
+    said = "ring distal and little distal are 3.2 mm in each other, and 0.5 mm were asked for"
+    with pytest.raises(ConfigError, match=said):
+        find_grip(scene(), NAMED["standard"], grip.places, iterations=80, finger_clearance=5e-4)
+
+
 @pytest.mark.parametrize("options", [{"fingers": 4}, {"size": 2.0}, {"finger_length": 2.0}])
 def test_a_grip_of_another_hand_is_refused(grip: Grip, options: dict[str, Any]) -> None:
     with pytest.raises(
@@ -224,6 +234,8 @@ def test_a_missing_file_is_said() -> None:
         (["11120", "--tool", "fork"], "No hand holds 'fork'. There are: sticks, tongs, brush."),
         (["11120", "--tool", "tongs"], "tongs are held otherwise. A hand of 5 fingers has: 21100."),
         (["11120", "--tries", "-1"], "--tries is a number from 0 to 1000"),
+        (["11120", "--finger-clearance", "-1"], "--finger-clearance -1 is not from 0 to 2 mm"),
+        (["11120", "--finger-clearance", "nan"], "--finger-clearance nan is not from 0 to 2 mm"),
         (["11120", "--force", "0"], "--force 0 is not from 0.1 to 10 N"),
         (["11120", "--places", "120", "-120", "120", "-120"], "has no pose"),
     ],

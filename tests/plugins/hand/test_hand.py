@@ -44,6 +44,21 @@ def test_the_number_of_fingers_is_a_parameter(fingers: int, hinges: int) -> None
     assert [n for n in FINGERS if f"{n}_distal" in made.links] == list(FINGERS[:fingers])
 
 
+@pytest.mark.parametrize("self_collision", [False, True])
+def test_fingers_touch_one_another_only_on_request(self_collision: bool) -> None:
+    """Straight and side by side nothing does: bones of the palm, which lie in one another, do not count."""
+    model = scene(tool="none", self_collision=self_collision).model
+    data = mujoco.MjData(model)
+    data.joint("thumb_spread").qpos, data.joint("thumb_bend").qpos = 0.6, 0.6
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    data.joint("index_spread").qpos = -0.13  # towards the middle finger, which is straight
+    data.joint("middle_spread").qpos = 0.13
+    mujoco.mj_forward(model, data)
+    names = {model.geom(geom).name.partition("_")[0] for pair in data.contact.geom for geom in pair}
+    assert names == ({"index", "middle"} if self_collision else set())
+
+
 def test_long_fingers_are_twice_as_long_and_as_thick_as_before() -> None:
     human, long = scene().model, scene(finger_length=2.0).model
     for finger in FINGERS:

@@ -1,4 +1,4 @@
-"""One grip found in a process of its own: ``python -m understudy_gripping.apart FILE STYLE PLACE …`` (m)."""
+"""One grip found in a process of its own: ``python -m understudy_gripping.apart FILE STYLE CLEARANCE PLACE …`` (m)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from understudy_gripping.styles import read_style
 from understudy_hand.scene import HandScene
 
 
-def main(file: str, text: str, *places: str) -> int:
+def main(file: str, text: str, clearance: str, *places: str) -> int:
     """Find the grip of the style `text` with its fingers at `places` (m), and save it as `file`; the exit
-    status, 2 where there is none."""
+    status, 2 where there is none. Fingers keep `clearance` (m) apart, unless that is ``none``."""
+    apart = None if clearance == "none" else float(clearance)
     scene = HandScene(HandScene.Options(len(text)))
     try:
-        find_grip(scene, read_style(text, len(text)), list(map(float, places))).save(Path(file))
+        style, along = read_style(text, len(text)), list(map(float, places))
+        find_grip(scene, style, along, finger_clearance=apart).save(Path(file))
     except ConfigError as error:
         print(error, file=sys.stderr)
         return ConfigError.exit_status

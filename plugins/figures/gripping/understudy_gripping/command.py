@@ -12,7 +12,7 @@ import numpy as np
 from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError
 from understudy.setup.composition import load_experiment
-from understudy_gripping.grip import FORCE, find_grip, search_grip
+from understudy_gripping.grip import FORCE, MOST_CLEARANCE, find_grip, search_grip
 from understudy_gripping.holding import holding
 from understudy_gripping.styles import read_style, written
 from understudy_hand.scene import HandScene
@@ -55,6 +55,10 @@ class FindGrip(Command):
             help=f"of a contact, that targets press with (default: {FORCE:g}); sticks creep faster by more",
         )  # fmt: skip
         parser.add_argument(
+            "--finger-clearance", type=float, metavar="MM",
+            help="mm that links of different fingers keep from one another (default: they may lie in one another)",
+        )  # fmt: skip
+        parser.add_argument(
             "--tool", default="sticks", help="sticks, tongs or brush (default: sticks)"
         )
         parser.add_argument(
@@ -74,6 +78,12 @@ class FindGrip(Command):
             raise ConfigError(f"--tries is a number from 0 to {MOST_TRIES}, and --seed at least 0.")
         if not 0.1 <= options.force <= 10.0:
             raise ConfigError(f"--force {options.force:g} is not from 0.1 to 10 N.")
+        apart = options.finger_clearance
+        if apart is not None and not 0.0 <= apart <= 1e3 * MOST_CLEARANCE:
+            raise ConfigError(
+                f"--finger-clearance {apart:g} is not from 0 to {1e3 * MOST_CLEARANCE:g} mm."
+            )
+        apart = None if apart is None else apart / 1e3
         try:
             given = {name: getattr(options, name) for name in ("fingers", "finger_length", "size")}
             given = {name: value for name, value in given.items() if value is not None}
@@ -99,10 +109,11 @@ class FindGrip(Command):
         scene = HandScene(chosen)
         if options.tries:
             grip = search_grip(
-                scene, style, places, options.tries, options.seed, force=options.force
-            )
+                scene, style, places, options.tries, options.seed, force=options.force,
+                finger_clearance=apart,
+            )  # fmt: skip
         else:
-            grip = find_grip(scene, style, places, force=options.force)
+            grip = find_grip(scene, style, places, force=options.force, finger_clearance=apart)
         grip.save(options.file)
         every = [grip.held(scene, row, 10.0, 1.0) for row in range(len(grip.angles))]
         slip = " and ".join(f"{1e3 * d:.2f}" for d in np.max([h.drift for h in every], axis=0))

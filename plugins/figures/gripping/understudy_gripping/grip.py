@@ -22,10 +22,11 @@ import torch
 from understudy.errors import ConfigError, FileError, RunError, suggestion
 from understudy.folders import read
 from understudy.inputs import Inputs
+from understudy.options import check_range
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.registry import Registry
 from understudy_gripping.balance import Balance, balance
-from understudy_gripping.hold import Held, hold, placed
+from understudy_gripping.hold import Held, hold, nearest_fingers, placed
 from understudy_gripping.holding import holding
 from understudy_gripping.pose import Candidate, Poses, PoseSolver
 from understudy_gripping.styles import Style, check_style, read_style, written
@@ -43,6 +44,8 @@ FORCE, LEAST_SHARE = 3.0, 1 / 3
 WIDEST_GAP, LEAST_CLEARANCE = 2e-3, 0.0
 #: m: how far each place may be from a first guess in a search, in a human hand.
 SPREAD = 0.025
+#: m between fingers that may be asked for, at most: knuckles of a human hand are 1 to 2 mm apart.
+MOST_CLEARANCE = 0.002
 #: Candidates of a search of which all angles are solved, at most.
 MOST_HELD = 4
 _VERSION = 1
@@ -156,15 +159,20 @@ def find_grip(
     places: Sequence[float],
     iterations: int = 400,
     force: float = FORCE,
+    finger_clearance: float | None = None,
 ) -> Grip:
     """A grip from the T-pose: its poses at the tool's angles, targets that hold them by some `force` N a contact, held for a second.
+
+    In its poses links of different fingers keep `finger_clearance` m apart, if that is given.
 
     Raises
     ------
     ConfigError
-        fingers do not reach, or the tool falls; the sentence says what.
+        fingers do not reach, are in each other's way, or the tool falls; the sentence says what.
     """
-    return _find(PoseSolver(scene), Candidate(style, tuple(places)), iterations, force)
+    return _find(
+        PoseSolver(scene, finger_clearance), Candidate(style, tuple(places)), iterations, force
+    )
 
 
 def search_grip(
@@ -175,6 +183,7 @@ def search_grip(
     seed: int = 0,
     iterations: int = 200,
     force: float = FORCE,
+    finger_clearance: float | None = None,
 ) -> Grip:
     """Of `tries` places and starts, drawn about `places` and the tool's own, the grip that slips least in ten
     seconds at any of its angles.
@@ -188,7 +197,7 @@ def search_grip(
     ConfigError
         none holds; the sentence says how far they came.
     """
-    solver, generator = PoseSolver(scene), np.random.default_rng(seed)
+    solver, generator = PoseSolver(scene, finger_clearance), np.random.default_rng(seed)
     own, size = solver.holding, scene.measures.size
     named = [place for name, (_, place) in own.supports.items() if name in scene.links]
     candidates, nominal = [], []
@@ -280,8 +289,12 @@ def _find(
     start = replace(_rows(base, *[0] * count), angle=torch.tensor(angles, dtype=torch.float64))
     poses = solver.solve([candidate] * count, iterations, start, angles)
     _refuse_unreachable(what, poses)
-    arm = len(ARM_POSE)
-    targets = [_balanced(solver, style, poses, row, force)[1].targets[arm:] for row in range(count)]
+    arm, targets = len(ARM_POSE), []
+    for row in range(count):
+        data, found = _balanced(solver, style, poses, row, force)
+        if solver.finger_clearance is not None:
+            _refuse_entangled(what, *nearest_fingers(scene, data), solver.finger_clearance)
+        targets.append(found.targets[arm:])
     grip = Grip(
         scene.measures, style, candidate.places, poses.hinges, poses.lower[0].numpy(),
         np.array(angles), poses.pose.numpy(), np.array(targets), solver.tool, robot=scene.robot,
@@ -305,6 +318,20 @@ def _refuse_unreachable(what: str, poses: Poses) -> None:
     if not clearance >= LEAST_CLEARANCE:
         raise ConfigError(
             f"{what} has no pose: a finger is {-1e3 * clearance:.1f} mm inside a stick. Try other places."
+        )
+
+
+def _refuse_entangled(what: str, distance: float, pair: tuple[str, str], clearance: float) -> None:
+    if distance < clearance:
+        names = " and ".join(name.replace("_", " ") for name in pair)
+        far = (
+            f"{1e3 * distance:.1f} mm apart"
+            if distance >= 0
+            else f"{-1e3 * distance:.1f} mm in each other"
+        )
+        raise ConfigError(
+            f"{what} has no pose: {names} are {far}, and {1e3 * clearance:g} mm were asked for. Try other places, or less "
+            "clearance."
         )
 
 
@@ -441,8 +468,12 @@ class GripOptions:
     #: Several grips that share the job, by name, each in worlds of its own; those that cannot be have no world. Wins
     #: over all others.
     candidates: Mapping[str, CandidateOptions] = field(default_factory=dict)
+    #: m that links of different fingers, and of fingers and palm, keep from one another in the poses of grips that are found;
+    #: null lets them lie in one another, as the thesis' search does.
+    finger_clearance: float | None = None
 
     def __post_init__(self) -> None:
+        check_range(self, "finger_clearance", least=0, most=MOST_CLEARANCE)
         if self.places is not None and self.style is None:
             raise ValueError("places need a style: set style, such as 11120.")
         for name in self.candidates:
@@ -453,9 +484,15 @@ class GripOptions:
 def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Grips:
     """The config section ``grip``."""
     if options.candidates:
-        return _found(options.candidates, inputs)
+        return _found(options.candidates, inputs, options.finger_clearance)
     if options.style is not None:
-        return _found({_ONLY: CandidateOptions(options.style, options.places)}, inputs)
+        only = CandidateOptions(options.style, options.places)
+        return _found({_ONLY: only}, inputs, options.finger_clearance)
+    if options.finger_clearance is not None:
+        raise ConfigError(
+            "grip.finger_clearance is of grips that are found, and this one is there already. Set grip.style, such as "
+            "11120, or leave it out."
+        )
     if (given := options.file) is not None:
         path = inputs.file(f"grip.file={given}", lambda: [Path(given)])
     else:
@@ -492,7 +529,9 @@ def _candidate(options: CandidateOptions) -> Candidate:
     return Candidate(style, tuple(chosen[finger] for finger in touching))
 
 
-def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
+def _found(
+    options: Mapping[str, CandidateOptions], inputs: Inputs, clearance: float | None
+) -> Grips:
     """The grips of human hands; a run keeps them, and what was against others.
 
     Raises
@@ -518,6 +557,8 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
         write_atomically(folder / _AGAINST, json.dumps(grips.against).encode())
 
     asked = f"grips {[(n, written(c.style), c.places) for n, c in candidates.items()]}"
+    if clearance is not None:
+        asked += f" apart by {clearance}"
     folder = inputs.folder_of(asked, Path(), keep)
     if folder != Path():
         return _kept(folder, list(candidates))
@@ -526,11 +567,13 @@ def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
         for candidate in candidates.values():
             _refuse_another_hand(candidate.style, scene)
         if len(candidates) > 1:
-            found = _found_apart(candidates)
+            found = _found_apart(candidates, clearance)
         else:
             ((name, candidate),) = candidates.items()
             human = HandScene(HandScene.Options(scene.measures.fingers))
-            found = Grips({name: find_grip(human, candidate.style, candidate.places)})
+            style, places = candidate.style, candidate.places
+            grip = find_grip(human, style, places, finger_clearance=clearance)
+            found = Grips({name: grip})
         found._need_one()
         return found
 
@@ -556,12 +599,14 @@ def _refuse_another_hand(style: Style, scene: HandScene) -> None:
         )
 
 
-def _found_apart(candidates: Mapping[str, Candidate]) -> Grips:
+def _found_apart(candidates: Mapping[str, Candidate], clearance: float | None) -> Grips:
     """The grips of several, as many at once as there are cores: each takes seconds of one."""
     by_name, against = dict[str, Grip](), dict[str, str]()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as threads:
         files = {name: Path(folder) / f"{name}.json" for name in candidates}
-        ended = threads.map(_find_apart, candidates.values(), files.values())
+        ended = threads.map(
+            partial(_find_apart, clearance=clearance), candidates.values(), files.values()
+        )
         for (name, file), said in zip(files.items(), ended, strict=True):
             if said is None:
                 by_name[name] = load_grip(file)
@@ -570,7 +615,7 @@ def _found_apart(candidates: Mapping[str, Candidate]) -> Grips:
     return Grips(by_name, against)
 
 
-def _find_apart(candidate: Candidate, file: Path) -> str | None:
+def _find_apart(candidate: Candidate, file: Path, clearance: float | None) -> str | None:
     """Find one in a process of its own, into `file`; or what is against it."""
     words = [
         sys.executable,
@@ -579,6 +624,7 @@ def _find_apart(candidate: Candidate, file: Path) -> str | None:
         "understudy_gripping.apart",
         str(file),
         written(candidate.style),
+        "none" if clearance is None else str(clearance),
     ]
     done = subprocess.run(
         [*words, *map(str, candidate.places)],

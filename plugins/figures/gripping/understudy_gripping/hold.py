@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import mujoco
 import numpy as np
 
 from understudy_hand.scene import HandScene
+from understudy_hand.table import can_meet
 
-__all__ = ["hold", "placed"]
+__all__ = ["hold", "nearest_fingers", "placed"]
 
 #: m: a part that is so far from where it was in the palm has fallen.
 FALLEN = 0.03
+#: m: farther apart is not told.
+_NEAR = 0.05
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,20 @@ def hold(
         data.qpos.copy(),
         frozenset(model.geom(g).name for g in touching),
     )
+
+
+def nearest_fingers(scene: HandScene, data: mujoco.MjData) -> tuple[float, tuple[str, str]]:
+    """m, negative inside, and which: how near the two nearest links of different fingers are in `data`; infinite where none
+    can meet."""
+    model, nearest = scene.model, (np.inf, ("", ""))
+    shown = [name for name in scene.links if model.body(name).geomnum[0]]
+    for one, other in combinations(shown, 2):
+        if can_meet(one, other):
+            geoms = model.geom(one).id, model.geom(other).id
+            nearest = min(
+                nearest, (mujoco.mj_geomDistance(model, data, *geoms, _NEAR, None), (one, other))
+            )
+    return nearest
 
 
 def _relative(scene: HandScene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:

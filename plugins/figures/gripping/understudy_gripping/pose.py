@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import torch
 from torch import Tensor
@@ -18,7 +19,7 @@ from understudy_gripping.holding import holding
 from understudy_gripping.kinematics import HandKinematics, Placed, stick_ends
 from understudy_gripping.styles import Style, check_style
 from understudy_hand.scene import HandScene
-from understudy_hand.table import FINGERS
+from understudy_hand.table import FINGERS, can_meet
 from understudy_hand.tools import GRIPPERS, HALF_LENGTH, RADIUS, Tool, upper_pose
 from understudy_tensors import rotations
 from understudy_tensors.segments import at, nearest_places, place_on_segment, segment_distance
@@ -36,6 +37,8 @@ _BEND, _IDLE_BEND, _LAST_BEND = 0.35, 0.15, 0.6
 _THUMB = {"thumb_spread": 0.6, "thumb_bend": 0.6, "thumb_middle": -0.4, "thumb_distal": -0.2}
 #: How far a hinge stays from the ends of its range, where that is wide.
 _INSIDE = 1e-4
+#: Of a link's axis, at which it is compared with a bone of the palm: 3 mm apart in the longest.
+_SAMPLES = 17
 #: m that count as much as a rad: about how long a finger is.
 _ARM = 0.1
 
@@ -74,8 +77,10 @@ class PoseSolver:
     (:mod:`understudy_gripping.balance`).
     """
 
-    def __init__(self, scene: HandScene) -> None:
-        self.scene = scene
+    def __init__(self, scene: HandScene, finger_clearance: float | None = None) -> None:
+        """With `finger_clearance` (m) links of different fingers keep so far apart by the barrier that the sticks have;
+        without it only what lies beyond their first links is drawn out of one another, as far as that costs little."""
+        self.scene, self.finger_clearance = scene, finger_clearance
         self.tool: Tool = scene.options.tool
         self.holding = holding(self.tool)
         self.kinematics = hand = HandKinematics(scene)
@@ -90,6 +95,14 @@ class PoseSolver:
             [self._shapes.index(name) for name in self._supports], dtype=torch.long
         )
         self._apart = torch.tensor(_pairs_apart(capsules)).T
+        #: Rows of capsules, and of capsules and boxes, that can meet.
+        rows = combinations(enumerate(self._shapes), 2)
+        meet = [(a, b) for (a, one), (b, other) in rows if can_meet(one, other)]
+        count = len(capsules)
+        self._capsules_meet = torch.tensor([p for p in meet if p[1] < count]).reshape(-1, 2).T
+        self._boxes_meet = (
+            torch.tensor([(a, b - count) for a, b in meet if b >= count > a]).reshape(-1, 2).T
+        )
         low, high = hand.ranges.T
         inside = torch.where(high - low > 1e-3, _INSIDE, 0.0)
         self._low, self._high = low + inside, high - inside
@@ -266,13 +279,18 @@ class _Problem:
         # 0.1 mm inside is still finite, so that a start inside finds its way out.
         for clearances in (gaps.flatten(1), boxes.flatten(1), between):
             cost = cost + _CLEARANCE * clamped_log(clearances + 1e-4, _BARRIER).sum(1)
-        one, other = solver._apart
-        touching = (
-            segment_distance(shapes.ends[:, one], shapes.ends[:, other])
-            - hand.radii[one]
-            - hand.radii[other]
-        )
-        cost = cost + _FINGERS_APART * (touching.clamp(max=0.0) ** 2).sum(1)
+        if solver.finger_clearance is None:
+            touching = self._between(shapes, solver._apart)
+            cost = cost + _FINGERS_APART * (touching.clamp(max=0.0) ** 2).sum(1)
+        else:
+            one, box = solver._boxes_meet
+            in_palm = box_distance(
+                shapes.ends[:, one], shapes.boxes[:, box], shapes.turns[:, box], hand.box_sizes[box],
+                _SAMPLES,
+            ) - hand.radii[one]  # fmt: skip
+            between = torch.cat([self._between(shapes, solver._capsules_meet), in_palm], dim=1)
+            spare = between - solver.finger_clearance
+            cost = cost + _CLEARANCE * clamped_log(spare, _BARRIER).sum(1)
         pose, moved, turn, angle = point[:, :-7], point[:, -7:-4], point[:, -4:-1], point[:, -1]
         return (
             cost
@@ -280,6 +298,14 @@ class _Problem:
             + _STICK_PLACE * (moved**2).sum(1)
             + _STICK_TURN * (turn**2).sum(1)
             + _ANGLE * (angle - 0.02) ** 2
+        )
+
+    def _between(self, shapes: Placed, pairs: Tensor) -> Tensor:
+        """(B, N) m between the capsules whose rows are `pairs` (2, N)."""
+        one, other = pairs
+        radii = self._hand.radii
+        return (
+            segment_distance(shapes.ends[:, one], shapes.ends[:, other]) - radii[one] - radii[other]
         )
 
     @torch.no_grad()

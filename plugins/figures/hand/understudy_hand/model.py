@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import mujoco
 import numpy as np
 
 from understudy_hand import tools
-from understudy_hand.table import ARM, DENSITY, Link, Shape
+from understudy_hand.table import ARM, DENSITY, Link, Shape, can_meet
 
 #: Bits of contact masks.
 _HAND, _TOOL, _TABLE = 1, 2, 4
@@ -36,12 +37,14 @@ def build_spec(
     thing: tools.Thing | None = None,
     below: tools.Thing | None = None,
     above: tools.Thing | None = None,
+    self_collision: bool = False,
 ) -> mujoco.MjSpec:
     """Arm and hand of these `links` and `fingers`, tool and table, with a `thing` on it, one `below` and one `above`, or without. Arm and hand bear their own weight, the others do
     not.
 
     Every hinge of arm and hand has a position servo of its name, in the order of the joints. Hand links
-    touch tools and the table, and not one another.
+    touch tools and the table, and one another only with `self_collision`, and then those of different fingers that
+    :func:`~understudy_hand.table.can_meet`.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -62,6 +65,8 @@ def build_spec(
         elif link.mass:
             body.explicitinertial, body.mass = True, link.mass
             body.ipos, body.inertia = np.zeros(3), np.full(3, _SMALL)
+    if self_collision:
+        _let_meet(spec, [n.name for n in links if n.shape is not None and n.name not in arm])
     tools.add(spec, tool, friction, (_TOOL, _HAND | _TOOL))
     for name, lying in (("object", thing), ("below", below), ("above", above)):
         if lying is not None:
@@ -69,6 +74,15 @@ def build_spec(
     for name in (*(f"{finger}_distal" for finger in fingers), *tools.tips(tool)):
         _add_touch(spec, name)
     return spec
+
+
+def _let_meet(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    """Let the links `names` of different fingers touch one another."""
+    for name in names:
+        spec.geom(name).conaffinity = _HAND
+    for one, other in combinations(names, 2):
+        if not can_meet(one, other):
+            spec.add_exclude(bodyname1=one, bodyname2=other)
 
 
 def _add_touch(spec: mujoco.MjSpec, name: str) -> None:

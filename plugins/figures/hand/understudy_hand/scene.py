@@ -60,6 +60,8 @@ class HandScene(MujocoScene):
         contact: Contact = field(
             default_factory=Contact
         )  #: how contacts are solved, where not FIRM
+        #: whether links of different fingers touch one another; not so in the release
+        self_collision: bool = False
         robot: Robot | None = (
             None  #: another hand than the human one, of a package that is installed
         )
@@ -93,7 +95,7 @@ class HandScene(MujocoScene):
     def spec(self) -> mujoco.MjSpec:
         spec = build_spec(
             self._links, self.measures.names, self.options.tool, self.options.friction,
-            self.options.object, self.options.below, self.options.above,
+            self.options.object, self.options.below, self.options.above, self.options.self_collision,
         )  # fmt: skip
         spec.option.timestep = self.timestep
         FIRM.apply(spec)

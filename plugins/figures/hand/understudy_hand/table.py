@@ -238,6 +238,15 @@ def _of_finger(link: str) -> bool:
     return link.endswith(("_proximal", "_middle", "_distal"))
 
 
+def can_meet(one: str, other: str) -> bool:
+    """Whether the links of these names are of different fingers and may touch: bones of the palm lie in one another and in
+    the first links of their neighbours, and do not count."""
+    fingers = {name.partition("_")[0] for name in (one, other)}
+    within = [name.endswith("_metacarpal") for name in (one, other)]
+    rooted = [name.endswith(("_metacarpal", "_proximal")) for name in (one, other)]
+    return len(fingers) == 2 and fingers <= set(FINGERS) and not (any(within) and all(rooted))
+
+
 def _times(factor: float, vector: Vector) -> Vector:
     x, y, z = vector
     return (factor * x, factor * y, factor * z)
