@@ -57,6 +57,11 @@ class GarmentScene(ClothScene):
 class CutGarment(GarmentScene):
     """One that is cut flat and sewn (:mod:`understudy_cloth.patterns`)."""
 
+    @property
+    def substeps(self) -> int:
+        """Of 10 ms, while it is put on before an episode."""
+        return 10
+
     @cached_property
     @abstractmethod
     def garment(self) -> Garment:

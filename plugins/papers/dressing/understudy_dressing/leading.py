@@ -26,28 +26,39 @@ from understudy.setup.config import Experiment
 from understudy.task import Context, State
 from understudy_cloth.mesh import face_areas
 from understudy_dressing.person import Side, limb
-from understudy_dressing.shirt import DRESSED, HOLDERS, PERIOD, Moves, ShirtScene
+from understudy_dressing.shirt import (
+    _BACK_AT,
+    _BEYOND_AT,
+    _LOWERED_AT,
+    _TUCKED_AT,
+    DRESSED,
+    HOLDERS,
+    PERIOD,
+    Moves,
+    ShirtScene,
+)
 from understudy_dressing.state import centre_and_normal, pierces, progress
 from understudy_skills import bank
 from understudy_skills.gathered import Gathered, Gathering
 
 #: The banks that it leaves, by where on the way their states are.
-PORTIONS = ("ends", "low", "half", "near", "out")
+PORTIONS = ("tucks", "ends", "low", "half", "near", "out")
 #: What a state is, of the person and the cloth.
 STATE = ("qpos", "qvel", "cloth_position", "cloth_velocity")
-#: m, where the left elbow goes; what it weighs beside the fingertip; m beyond the entrance, where that goes.
-_ELBOW, _WEIGHT, _BEYOND = (0.28, 0.09, -0.08), 0.7, 0.12
+#: What the elbow weighs beside the fingertip; m beyond the entrance, where that goes.
+_WEIGHT, _BEYOND = 0.7, 0.12
+#: Which hand, that which goes in or that which holds, goes where, m: under the hem, and back to the shoulder.
+_UNDER = tuple(("in", place) for place in (*_TUCKED_AT, *_BEYOND_AT))
+_BACK = (("holds", _LOWERED_AT), *(("in", place) for place in _BACK_AT))
 #: m: so far links stay apart.
 _APART = 0.003
-#: Progress from which on the arm goes out to its side.
-ENOUGH = 0.08
 
 
 @dataclass(frozen=True)
 class Place:
     """Where an arm was on its way."""
 
-    phase: int  #: 0 while the hem comes down, 1 while the hand goes in, 2 while the arm goes out
+    phase: int  #: 0 while the hem comes down, 1 while the hand goes in, 2 while the arm goes out; −1 before, under the hem
     pose: np.ndarray  #: (22,) rad
     cloth: np.ndarray  #: (V, 3) m
     progress: float  #: equation 11
@@ -64,7 +75,7 @@ class Led(Moves):
         self._side: Side = side
         self._closed = tuple(holder != side for holder in HOLDERS)
         self._entrance = torch.tensor(shirt.sleeve(side)["entrance"].copy())
-        self._elbow = np.array(_ELBOW) * (1.0, 1.0 if side == "left" else -1.0, 1.0)
+        self.mirrored = np.array([1.0, 1.0 if side == "left" else -1.0, 1.0])
         self._mine = self._arm(side)
         self._free = [*range(3), *self._mine]
         limited = self._body.jnt_limited[self._free].astype(bool)
@@ -92,12 +103,16 @@ class Led(Moves):
         others = [i for i in range(len(begin)) if i not in self._mine]
         self._mix(others, share, begin, end)
 
+    def go(self, end: np.ndarray, share: float, begin: np.ndarray) -> None:
+        """By a `share` of the way from the pose `begin` to `end`, (22,) rad."""
+        self._mix(list(range(len(begin))), share, begin, end)
+
     def spread(self, share: float, begin: np.ndarray) -> None:
         """The arm that goes in goes by a `share` of the way from that of the pose `begin` (22,) rad out to its side."""
         self._mix(self._mine, share, begin, self.bent({self._side: DRESSED}))
 
-    def approach(self, speed: float) -> None:
-        """Fingertip and elbow go on by a step of `speed`, m."""
+    def approach(self, speed: float, to: np.ndarray) -> None:
+        """Fingertip and elbow go on by a step of `speed`, m, the elbow of the left arm, or its mirror image, to the place `to`, m."""
         pose, x = self.found()
         self._place(pose)
         bones = self.bones()
@@ -105,7 +120,7 @@ class Led(Moves):
         centre, normal = (one[0].numpy() for one in centre_and_normal(cloth))
         inside = float(progress(torch.tensor(bones)[None], cloth)[1]) > 0
         tip = _towards(bones[0], bones[0] + normal if inside else centre + _BEYOND * normal, speed)
-        elbow = _towards(bones[3], self._elbow, speed)
+        elbow = _towards(bones[3], self.mirrored * to, speed)
         pose, begin = pose.copy(), pose[self._free].copy()
 
         def off(hinges: np.ndarray) -> np.ndarray:
@@ -141,6 +156,7 @@ class Lead(Gathering):
     """Leads arms in a task of ``dressing/shirt_sleeve`` from states of a bank, as ``job=harvest`` leaves of ``dressing/shirt_tuck``;
     or of the second sleeve, where the other arm is in its own.
 
+    If `held`, its states are of a held hem, and the arm goes under it first: ``tucks`` are states until there, whose way ends there.
     It leaves banks in the folders ``ends`` (where the arms began), ``low`` (the hem on its way down), ``half`` and ``near`` (the
     hand on its way, and nearer or in) and ``out`` (the arm on its way out), at rest but for the first, of those arms that
     went all the way through no cloth. Each state has the poses that follow as ``way`` (T, 22) rad, one a decision, the last
@@ -151,12 +167,18 @@ class Lead(Gathering):
     class Options:
         bank: str  #: the bank in which the arms begin, or the folder of the run that has it
         count: int = 24  #: how many of its states are led, evenly of all
-        lowers: float = 0.6  #: s, in which the hem comes down
+        lowers: float = 0.6  #: s, in which the hem comes down; if `held` each step of that
         speed: float = 0.8  #: m/s, of fingertip and elbow, which go their own ways
         most: float = 2.2  #: s, within which the hand has to be in
         out: float = 1.6  #: s, in which the arm goes out to its side
         keep: int = 3  #: of every so many decisions of a way one state
         torn: float = 2.6  #: area ratio of states that are not kept
+        enough: float = 0.08  #: progress from which on the arm goes out to its side
+        elbow: tuple[float, float, float] = (0.28, 0.09, -0.08)  #: m, where the left elbow goes
+        #: whether arms are led under the hem first, from a bank of the held hem (`initial_states.worn=held`), and the hem
+        #: is lowered as the hand goes back to its shoulder; the bank `tucks` has the way until there
+        held: bool = False
+        goes: float = 0.6  #: s, from each place to the next on the way under the hem
         side: Side = "left"  #: the arm that goes in: the paper's first, or `right`, the second
 
         def __post_init__(self) -> None:
@@ -165,6 +187,8 @@ class Lead(Gathering):
             check_range(self, "lowers", "most", "out", least=0.1, most=10)
             check_range(self, "speed", least=0.05, most=5)
             check_range(self, "torn", least=1)
+            check_range(self, "enough", least=0.01, most=0.6)
+            check_range(self, "goes", least=0.1, most=10)
 
     def __init__(self, options: Options, experiment: Experiment) -> None:
         self.options, self._experiment = options, experiment
@@ -219,7 +243,7 @@ class Lead(Gathering):
             Led(self._shirt, self.options.side, pose, cloth),
             list[np.ndarray](),
         )
-        places = [arm.place(0)]
+        places = [arm.place(-1 if options.held else 0)]
 
         def steps(seconds: float) -> range:
             return range(1, round(seconds / PERIOD) + 1)
@@ -230,15 +254,32 @@ class Lead(Gathering):
                 places.append(arm.place(phase))
             return places[-1].through
 
-        for k in steps(options.lowers):
-            arm.lower(k / len(steps(options.lowers)), pose, self._lowered)
-            if through(0):
-                return places, way
+        def gone(who: Side, place: tuple[float, float, float], phase: int) -> bool:
+            seconds = options.goes if phase < 0 else options.lowers
+            begin, end = arm.found()[0].copy(), arm.reached(who, arm.mirrored * np.array(place))
+            for k in steps(seconds):
+                arm.go(end, k / len(steps(seconds)), begin)
+                if through(phase):
+                    return False
+            return True
+
+        if options.held:
+            mine = options.side
+            other: Side = "left" if mine == "right" else "right"
+            for hand, place in (*_UNDER, *_BACK):
+                who = mine if hand == "in" else other
+                if not gone(who, place, -1 if (hand, place) in _UNDER else 0):
+                    return places, way
+        else:
+            for k in steps(options.lowers):
+                arm.lower(k / len(steps(options.lowers)), pose, self._lowered)
+                if through(0):
+                    return places, way
         for _ in steps(options.most):
-            arm.approach(PERIOD * options.speed)
-            if through(1) or places[-1].progress > ENOUGH:
+            arm.approach(PERIOD * options.speed, np.array(options.elbow))
+            if through(1) or places[-1].progress > options.enough:
                 break
-        if places[-1].progress > ENOUGH and not places[-1].through:
+        if places[-1].progress > options.enough and not places[-1].through:
             begin = arm.found()[0].copy()
             for k in steps(options.out):
                 arm.spread(k / len(steps(options.out)), begin)
@@ -247,25 +288,42 @@ class Lead(Gathering):
         return places, way
 
     def _keep(self, state: Mapping[str, Tensor], places: list[Place], way: np.ndarray) -> None:
-        options = self.options
-        longest = round((options.lowers + options.most + options.out) / PERIOD) // self._every + 1
-        decisions = torch.from_numpy(
-            np.concatenate([way[self._every - 1 :: self._every], way[-1:]])
-        ).float()
-        decisions = torch.cat([decisions, decisions[-1:].expand(longest, -1)])
-        self._kept["ends"].append({**state, "way": decisions[:longest]})
+        options, every = self.options, self._every
+        first = options.lowers * (len(_BACK) if options.held else 1)
+        longest = round((first + options.most + options.out) / PERIOD) // every + 1
+        decisions = torch.from_numpy(np.concatenate([way[every - 1 :: every], way[-1:]])).float()
+
+        def kept(k: int, until: int | None = None) -> dict[str, Tensor]:
+            """The state at decision `k`, and the poses that follow, until that decision and then its own."""
+            follow = decisions[k:until]
+            follow = torch.cat(
+                [follow, decisions[: until or len(decisions)][-1:].expand(longest, -1)]
+            )
+            if k == 0:
+                return {**state, "way": follow[:longest]}
+            qpos = torch.cat([torch.from_numpy(places[k].pose).float(), state["qpos"][22:]])
+            cloth = torch.from_numpy(places[k].cloth).float()
+            return {
+                "qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": cloth,
+                "cloth_velocity": torch.zeros_like(cloth), "way": follow[:longest],
+            }  # fmt: skip
+
+        under = sum(place.phase < 0 for place in places)
+        end = max(0, under - 1)  # the decision at which the arm is under the hem
+        self._kept["ends"].append(kept(end))
+        if under:
+            self._kept["tucks"].append(kept(0, end))
         hand = sum(place.phase == 1 for place in places)
-        first = sum(place.phase == 0 for place in places)
+        first = sum(place.phase <= 0 for place in places)
         for k in range(options.keep, len(places), options.keep):
-            place = places[k]
-            name = ("low", "half" if k < first + hand // 2 else "near", "out")[place.phase]
-            if place.ratio < options.torn:
-                qpos = torch.cat([torch.from_numpy(place.pose).float(), state["qpos"][22:]])
-                cloth = torch.from_numpy(place.cloth).float()
-                self._kept[name].append({
-                    "qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": cloth,
-                    "cloth_velocity": torch.zeros_like(cloth), "way": decisions[k : k + longest],
-                })  # fmt: skip
+            phase = places[k].phase
+            if places[k].ratio >= options.torn or k == end:
+                continue
+            if phase < 0:
+                self._kept["tucks"].append(kept(k, end))
+            else:
+                name = ("low", "half" if k < first + hand // 2 else "near", "out")[phase]
+                self._kept[name].append(kept(k))
 
     def stage(self) -> str:
         return f"{self._gathered.count} of {len(self._states['qpos'])} arms led"

@@ -42,6 +42,13 @@ _NECK, _CLEAR = 0.115, 0.012
 #: that no elbow is driven into the shirt's back.
 _HELD_AT = (0.38, -0.02, -0.35)
 _TUCKED_AT = ((0.20, 0.05, -0.66), (0.26, 0.03, -0.50), (0.29, 0.03, -0.40))
+#: m, where fingertips go from there so that nothing tears: beyond the triangle of hand and shoulders; then the hand that holds
+#: lowers the hem, and the other goes back to the chest and to its own shoulder.
+_BEYOND_AT = ((0.31, 0.0, -0.27), (0.31, -0.01, -0.20))
+_LOWERED_AT, _BACK_AT = (
+    (0.36, -0.02, -0.45),
+    ((0.22, 0.05, -0.14), (0.14, 0.14, -0.02), (0.11, 0.24, -0.04)),
+)
 _RAISED_AT = ((0.31, 0.0, -0.27), (0.31, -0.01, -0.20), (0.30, 0.0, -0.02), (0.28, 0.0, 0.12))
 #: rad, from clavicle to wrist of the left arm: the elbow bent before the chest, the hand at its own shoulder, by a fifth of the
 #: limb in a sleeve that is drawn over it. Straighter arms tear it as it settles, and so may finer cloth.
@@ -67,18 +74,35 @@ class ShirtScene(CutGarment):
     class Options:
         edge: float = 0.021  #: m, of triangles, about (2018 code: 22 mm)
         collar: float = 0.20  #: m, width of the collar
+        width: float = 0.64  #: m, of the body laid flat, half the hem
+        height: float = 0.76  #: m, from the hem to the neck's highest point
+        entrance: float = 0.265  #: m, width of a sleeve laid flat where it begins
+        end: float = 0.245  #: m, and where it ends
+        #: sub-steps of 10 ms in which it is put on, held and led before an episode; a task's own are `scene.steps.cloth`
+        substeps: int = 10
         fabric: Fabric = field(default_factory=Fabric)  #: what it is made of
 
         def __post_init__(self) -> None:
             check_range(self, "edge", least=0.015, most=0.032)
             check_range(self, "collar", least=0.18, most=0.30)
+            check_range(self, "width", least=0.56, most=0.90)
+            check_range(self, "height", least=0.66, most=1.0)
+            check_range(self, "entrance", "end", least=0.20, most=0.40)
+            check_range(self, "substeps", least=1, most=200)
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self.options = options
 
     @cached_property
     def garment(self) -> Garment:
-        return t_shirt(Shirt(edge=self.options.edge, neck=self.options.collar))
+        o = self.options
+        return t_shirt(Shirt(
+            edge=o.edge, neck=o.collar, width=o.width, height=o.height, entrance=o.entrance, end=o.end,
+        ))  # fmt: skip
+
+    @property
+    def substeps(self) -> int:
+        return self.options.substeps
 
     @property
     def collar(self) -> np.ndarray:
@@ -203,7 +227,7 @@ class Moves:
         positions = model.positions if begins is None else begins
         alone = Alone(replace(model, positions=positions, fabric=fabric, tools=at))
         context = Context(
-            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=PERIOD, substeps=10, scene=alone,
+            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=PERIOD, substeps=scene.substeps, scene=alone,
         )  # fmt: skip
         self._cloth = ClothSimulator(ClothSimulator.Options(), context)
 
@@ -246,6 +270,15 @@ class Moves:
         self, side: Side, target: np.ndarray, seconds: float, closed: tuple[bool, ...]
     ) -> None:
         """Leads the fingertip of that arm to a place, m, and the cloth with it."""
+        begin, end = self._pose.copy(), self.reached(side, target)
+        count = round(seconds / PERIOD)
+        for k in range(count):
+            share = (k + 1) / count
+            self._step(begin + share * share * (3 - 2 * share) * (end - begin), closed)
+        self._pose = end
+
+    def reached(self, side: Side, target: np.ndarray) -> np.ndarray:
+        """The pose (22,) rad whose fingertip of that arm is as near to a place, m, as can be."""
         mine = self._arm(side)
         ranges = self._body.jnt_range[mine]
         free = ~self._body.jnt_limited[mine].astype(bool)
@@ -263,14 +296,10 @@ class Moves:
                 [tip - target, 0.01 * (q - self._neutral[mine]), [_WEIGHT * near]]
             )
 
-        begin, end = self._pose.copy(), self._pose.copy()
-        inside = np.clip(begin[mine], low + 1e-3, high - 1e-3)
+        end = self._pose.copy()
+        inside = np.clip(end[mine], low + 1e-3, high - 1e-3)
         end[mine] = least_squares(off, inside, bounds=(low, high), diff_step=1e-4).x
-        count = round(seconds / PERIOD)
-        for k in range(count):
-            share = (k + 1) / count
-            self._step(begin + share * share * (3 - 2 * share) * (end - begin), closed)
-        self._pose = end
+        return end
 
     def found(self) -> tuple[np.ndarray, np.ndarray]:
         if bool(self._cloth.failed().any()):
