@@ -61,6 +61,7 @@ GIVEN = {
     "dressing/gown_gripper": ("scenes.cloth.file=RUNS/gown.yaml", "actuation.run=RUNS/dressed"),
     "dressing/shirt_sleeve_led": ("initial_states.file=RUNS/led/ends",),
     "dressing/shirt_sleeve_second_led": ("initial_states.file=RUNS/led/ends",),
+    "dressing/shirt_tuck_led": ("initial_states.file=RUNS/led/tucks",),
     "dressing/gripper": ("actuation.run=RUNS/dressed",),
     "dressing/shirt": (
         "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",

@@ -22,6 +22,7 @@ NEED = {
     "experiment=dressing/gripper": "actuation.run",
     "experiment=dressing/shirt_sleeve_led": "initial_states.file",
     "experiment=dressing/shirt_sleeve_second_led": "initial_states.file",
+    "experiment=dressing/shirt_tuck_led": "initial_states.file",
     "experiment=miniature/dressing": "initial_states.file",
     "experiment=miniature/in_sequence": "actuation.stages",
     "experiment=miniature/sitting": "actuation.runs",

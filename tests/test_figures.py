@@ -154,7 +154,8 @@ def claim(
         ([None, None, 5.5], 4.0, figures.FAILS),  # more than 4 in any case
         ([1.0, 1.1, 1.2], [2.0, 2.1, 2.3], figures.HOLDS),
         ([1.0, 1.1, 1.2], [None, None, None], figures.HOLDS),  # at least 5
-        ([None, None, None], [1.0, 1.1, 1.2], figures.UNDECIDED),
+        ([None, None, None], [1.0, 1.1, 1.2], figures.FAILS),  # at least 5
+        ([None, 0.5, 0.6], [1.0, 1.1, 1.2], figures.UNDECIDED),
         ([1.0, 3.0, 2.0], [2.0, 2.1, 2.3], figures.UNDECIDED),
         ([1.0, 1.1], [2.0], figures.ONE),
     ],

@@ -529,7 +529,7 @@ MUTANTS = (
     Mutant("what was trained otherwise is compared", "plugins/search/reproduce/understudy_reproduce/card.py",
            "if self.less != other.less:", "if False:", "tests/plugins/reproduce/test_records.py -k otherwise"),
     Mutant("a missed criterion decides a verdict", "plugins/search/reproduce/understudy_reproduce/card.py",
-           "return UNDECIDED if self.missed(figure) and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
+           "return from_below(found, better, self.missed(figure))", "return found", "tests/plugins/reproduce/test_reproduce.py -k missed"),
     # What strangers' files of the newer parts may be.
     Mutant("a grip is any file", "plugins/figures/gripping/understudy_gripping/grip.py", "json.loads(read(path, _LARGEST))\n        if not isinstance(values",
            "json.loads(path.read_text())\n        if not isinstance(values", "tests/plugins/gripping/test_grip.py -k pipe or none_are_refused"),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from understudy.options import check_range
 
-__all__ = ["ARM", "ARM_POSE", "FEWEST", "FINGERS", "Measures"]
+__all__ = ["ARM", "ARM_POSE", "FEWEST", "FINGERS", "Measures", "can_meet"]
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, ...]
