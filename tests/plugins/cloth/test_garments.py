@@ -263,6 +263,42 @@ def test_a_line_that_is_none_is_named(line: str, tmp_path: Path) -> None:
         read_garment(path)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+def test_files_may_be_in_what_editors_save(encoding: str, tmp_path: Path) -> None:
+    path = write(tmp_path, X, FACES, naming())
+    for file in (path, tmp_path / "sleeve.obj"):
+        text = file.read_text()
+        file.write_bytes(
+            text.partition("# a sleeve\n")[2].encode(encoding)
+            if file != path
+            else text.encode(encoding)
+        )
+    assert np.allclose(read_garment(path).positions, X)
+
+
+def test_comments_behind_a_line_and_lines_that_go_on(tmp_path: Path) -> None:
+    path = write(tmp_path, X, FACES, naming())
+    mesh = tmp_path / "sleeve.obj"
+    lines = [f"{line} # from {i}" for i, line in enumerate(mesh.read_text().splitlines(), 1)]
+    joined = [line.replace(" ", " \\\n", 1) if line[0] in "vf" else line for line in lines]
+    mesh.write_text("\n".join(joined))
+    found = read_garment(path)
+    assert np.array_equal(found.positions, X)
+    assert np.array_equal(found.faces, FACES)
+    mesh.write_text(mesh.read_text() + "\nf 1 \\\n 2")
+    number = len(lines) + len(X) + len(FACES) + 1
+    with pytest.raises(FileError, match=f"line {number}: 'f 1 +2' is no face"):
+        read_garment(path)
+
+
+def test_a_face_of_many_vertices_says_what_to_do(tmp_path: Path) -> None:
+    path = write(tmp_path, X, FACES, naming())
+    with (tmp_path / "sleeve.obj").open("a") as file:
+        file.write("f 1 2 3 4 5\n")
+    with pytest.raises(FileError, match="triangulate faces when you export"):
+        read_garment(path)
+
+
 def test_bytes_that_are_no_text_are_no_mesh(tmp_path: Path) -> None:
     path = write(tmp_path, X, FACES, naming())
     (tmp_path / "sleeve.obj").write_bytes(os.urandom(4096).replace(b"\n", b" "))

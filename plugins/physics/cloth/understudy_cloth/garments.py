@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -203,10 +204,26 @@ class _Key:
 
 
 def _text(path: Path, most: int) -> str:
+    """The text of a file: UTF-8, or what its mark or the zeros in it show (UTF-16 and 32), as editors save it."""
     try:
-        return read(path, most).decode("utf-8", errors="replace")
+        content = read(path, most)
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}.") from error
+    return content.decode(json.detect_encoding(content), errors="replace")
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """The lines of an OBJ file by the number of the first, without comments; a backslash at its end joins the next."""
+    begun, first = "", 0
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.partition("#")[0].rstrip()
+        first = first if begun else number
+        begun += line.removesuffix("\\") + " "
+        if not line.endswith("\\"):
+            yield first, begun
+            begun = ""
+    if begun:
+        yield first, begun
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -220,7 +237,7 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(_text(path, MOST_BYTES).splitlines(), 1):
+    for number, line in _statements(_text(path, MOST_BYTES)):
         kind, *values = line.split() or ("",)
         try:
             if kind == "v":
@@ -238,7 +255,8 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
         except ValueError:
             raise FileError(
                 f"{path}, line {number}: '{line[:60].strip()}' is no "
-                f"{'vertex' if kind == 'v' else 'face of three or four vertices'}."
+                f"{'vertex' if kind == 'v' else 'face of three or four vertices'}"
+                f"{': triangulate faces when you export the mesh' if len(values) > 4 and kind == 'f' else ''}."
             ) from None
         if max(len(vertices), len(faces)) > 2 * MOST_VERTICES:
             break
