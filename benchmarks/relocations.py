@@ -26,7 +26,8 @@ import torch
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_chopsticks.relocate import Bank, Relocations
+from understudy_chopsticks.plan_bank import Bank
+from understudy_chopsticks.relocate import Relocations
 from understudy_reinforcement.evaluation import wilson_interval
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill

@@ -21,17 +21,11 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.again import Again
+from understudy_chopsticks.follow import Follow
+from understudy_chopsticks.object import Object, lost, missed, placed, thing
 from understudy_chopsticks.plan import gripping
-from understudy_chopsticks.relocate import (
-    Bank,
-    Follow,
-    Object,
-    Relocations,
-    lost,
-    missed,
-    placed,
-    thing,
-)
+from understudy_chopsticks.plan_bank import Bank
+from understudy_chopsticks.relocate import Relocations
 from understudy_chopsticks.tracking import turned
 from understudy_tensors import rotations
 from understudy_tool_planner import arm
@@ -263,8 +257,6 @@ def test_rewards_and_endings_are_what_they_say() -> None:
 def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_is_over(
     built: Built,
 ) -> None:
-    from understudy_chopsticks.relocate import Object
-
     made = Object(Object.Options(), built.context)
     qpos = torch.zeros(4, 57)
     qpos[:, 53] = 1.0

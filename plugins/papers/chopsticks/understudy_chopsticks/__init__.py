@@ -28,8 +28,8 @@ PARTS = {
     "fields": {
         "chopsticks/plan": ("plan:Plan", "where arm, hand and sticks shall be"),
         "chopsticks/tracking": ("tracking:Tracking", "the sticks in the palm, and errors"),
-        "chopsticks/follow": ("relocate:Follow", "where everything shall be, by a plan of its own"),
-        "chopsticks/object": ("relocate:Object", "the object in the palm, and errors"),
+        "chopsticks/follow": ("follow:Follow", "where everything shall be, by a plan of its own"),
+        "chopsticks/object": ("object:Object", "the object in the palm, and errors"),
         "chopsticks/stroke": ("strokes:Stroke", "where arm, hand and a brush shall be"),
     },
     "memory": {
@@ -45,16 +45,16 @@ PARTS = {
         "chopsticks/hand": ("tracking:Hand", "eq. 5.2: arm and hand as planned"),
         "chopsticks/sticks": ("tracking:sticks", "eq. 5.3: both sticks as planned"),
         "chopsticks/contact": ("tracking:contact", "eq. 5.5: fingertips at their places"),
-        "chopsticks/object": ("relocate:thing", "eq. 5.4: the object as planned"),
+        "chopsticks/object": ("object:thing", "eq. 5.4: the object as planned"),
         "chopsticks/tip": ("strokes:tip", "eq. 5.4 of a brush: its tip as planned"),
     },
     "termination": {
         "chopsticks/dropped": ("tracking:dropped", "a stick is far from where it is planned"),
         "chopsticks/turned": ("tracking:turned", "a stick is turned far from its plan"),
         "chopsticks/contact_lost": ("tracking:contact_lost", "fingertips left their places"),
-        "chopsticks/lost": ("relocate:lost", "the object is far from where it is planned"),
-        "chopsticks/missed": ("relocate:missed", "the plan is over, the object elsewhere"),
-        "chopsticks/placed": ("relocate:placed", "the object is where it shall be"),
+        "chopsticks/lost": ("object:lost", "the object is far from where it is planned"),
+        "chopsticks/missed": ("object:missed", "the plan is over, the object elsewhere"),
+        "chopsticks/placed": ("object:placed", "the object is where it shall be"),
     },
     "sweep_page": {
         "chopsticks/gallery": ("gallery:Gallery", "the best grip of each style"),

@@ -16,7 +16,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Memory
-from understudy_chopsticks.relocate import SLOWING, bank_of
+from understudy_chopsticks.plan_bank import SLOWING, bank_of
 from understudy_tool_planner.configuration import NoPlan
 from understudy_tool_planner.planner import DT
 
