@@ -32,7 +32,8 @@ from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
-from understudy_gripping.grip import Grip, find_grip, load_grip, search_grip
+from understudy_gripping.finding import find_grip, search_grip
+from understudy_gripping.grip import Grip, load_grip
 from understudy_gripping.hold import hold, nearest_fingers, placed
 from understudy_gripping.holding import holding
 from understudy_gripping.styles import written

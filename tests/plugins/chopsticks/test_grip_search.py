@@ -16,7 +16,7 @@ from understudy.inputs import Inputs
 from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
-from understudy_gripping.grip import NONE_HOLDS, CandidateOptions, GripOptions, build_grips
+from understudy_gripping.section import NONE_HOLDS, CandidateOptions, GripOptions, build_grips
 from understudy_gripping.styles import styles, written
 from understudy_hand.scene import HandScene
 from understudy_reproduce.comparison import found_by
@@ -153,7 +153,7 @@ def test_a_candidate_out_of_reach_is_refused_before_any_training(plugins: Plugin
 def test_a_style_of_another_hand_is_refused_before_it_is_searched_for(
     style: str, hand: dict[str, Any], said: str, plugins: Plugins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("understudy_gripping.grip.find_grip", None)
+    monkeypatch.setattr("understudy_gripping.section.find_grip", None)
     asked_for = build_grips(GripOptions(style=style), plugins.registry, Inputs())
     with pytest.raises(ConfigError, match=said):
         asked_for.in_hand(HandScene(HandScene.Options(**hand)))

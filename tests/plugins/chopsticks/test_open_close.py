@@ -21,8 +21,9 @@ from understudy.setup.plugins import Plugins
 from understudy.task import Context
 from understudy_chopsticks.plan import Gripping, OpenAndClose, Plan, angle_at
 from understudy_chopsticks.tracking import Hand, Tracking, contact, contact_lost, dropped, sticks
-from understudy_gripping.grip import Grip, Grips, load_grip, standard
+from understudy_gripping.grip import Grip, load_grip, standard
 from understudy_gripping.hold import placed
+from understudy_gripping.section import Grips
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import upper_pose

@@ -17,15 +17,13 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import load
 from understudy_gripping.balance import balance
+from understudy_gripping.finding import find_grip, search_grip
 from understudy_gripping.grip import (
     Grip,
-    _kept,
     brush,
-    find_grip,
     large,
     load_grip,
     long,
-    search_grip,
     standard,
     t_pose,
     tongs,
@@ -35,6 +33,7 @@ from understudy_gripping.grip import (
 from understudy_gripping.hold import placed
 from understudy_gripping.holding import holding
 from understudy_gripping.pose import PoseSolver
+from understudy_gripping.section import _kept
 from understudy_gripping.styles import NAMED
 from understudy_hand.scene import FIRM, HandScene
 from understudy_hand.table import ARM_POSE
@@ -137,7 +136,7 @@ def test_fingers_that_cannot_keep_apart_are_said(
     grip: Grip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near = (-0.0032, ("ring_distal", "little_distal"))
-    monkeypatch.setattr("understudy_gripping.grip.nearest_fingers", lambda *_: near)
+    monkeypatch.setattr("understudy_gripping.finding.nearest_fingers", lambda *_: near)
     said = "ring distal and little distal are 3.2 mm in each other, and 0.5 mm were asked for"
     with pytest.raises(ConfigError, match=said):
         find_grip(scene(), NAMED["standard"], grip.places, iterations=80, finger_clearance=5e-4)

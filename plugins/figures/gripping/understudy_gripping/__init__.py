@@ -25,4 +25,4 @@ PARTS = {
 KINDS = {"grip": "how a hand holds a tool: a function that gives the file's path"}
 
 #: Sections of a configuration: the options, and what is built of them.
-SECTIONS = {"grip": ("grip:GripOptions", "grip:build_grips")}
+SECTIONS = {"grip": ("section:GripOptions", "section:build_grips")}

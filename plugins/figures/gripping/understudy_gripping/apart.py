@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from understudy.errors import ConfigError
-from understudy_gripping.grip import find_grip
+from understudy_gripping.finding import find_grip
 from understudy_gripping.styles import read_style
 from understudy_hand.scene import HandScene
 

@@ -12,8 +12,9 @@ import numpy as np
 from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError
 from understudy.setup.composition import load_experiment
-from understudy_gripping.grip import FORCE, MOST_CLEARANCE, find_grip, search_grip
+from understudy_gripping.finding import FORCE, find_grip, search_grip
 from understudy_gripping.holding import holding
+from understudy_gripping.section import MOST_CLEARANCE
 from understudy_gripping.styles import read_style, written
 from understudy_hand.scene import HandScene
 from understudy_hand.tools import HALF_LENGTH

@@ -22,8 +22,9 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
-from understudy_gripping.grip import Grip, Grips
+from understudy_gripping.grip import Grip
 from understudy_gripping.hold import hold, placed
+from understudy_gripping.section import Grips
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE

@@ -16,8 +16,8 @@ from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.side_by_side import CANDIDATE, reports, together
 from understudy_bayes.space import Parameter
 from understudy_bayes.surrogate import SurrogateOptions
-from understudy_gripping.grip import NONE_HOLDS
 from understudy_gripping.holding import holding
+from understudy_gripping.section import NONE_HOLDS
 from understudy_gripping.styles import Style, read_style, styles, written
 from understudy_hand.table import FEWEST, FINGERS
 from understudy_hand.tools import HALF_LENGTH
