@@ -50,7 +50,7 @@ def test_where_a_part_is_defined(name: str, begins: str) -> None:
     assert begins in Path(found[1]).read_text(encoding="utf-8").splitlines()[int(found[2]) - 1]
 
 
-def tested(text: str) -> list[str]:
+def files_in(text: str) -> list[str]:
     """The files that a description names."""
     found = re.search(r"^tests: (.+)$", text, re.M)
     return found[1].split(", ") if found else []
@@ -58,10 +58,10 @@ def tested(text: str) -> list[str]:
 
 def test_where_a_parts_tests_are(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(Path(__file__).parents[3])
-    found = tested(describe("termination/spacetime/com_bound", installed()))
+    found = files_in(describe("termination/spacetime/com_bound", installed()))
     assert found[0] == "tests/plugins/spacetime/test_bounds.py", "it names the bound most"
-    assert tested(describe("learner/ppo", installed()))
-    assert len(tested(describe("scene/character", installed()))) == 5, "four, and how many more"
+    assert files_in(describe("learner/ppo", installed()))
+    assert len(files_in(describe("scene/character", installed()))) == 5, "four, and how many more"
 
 
 #: A package of one's own, and its tests: file by file.
@@ -97,10 +97,10 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
 
 def test_tests_beside_a_package_of_ones_own(own: Plugins) -> None:
     """Those that name the part: neither one of another name, nor a comment, nor what is no test."""
-    low = tested(describe("reward/own/low", own))
+    low = files_in(describe("reward/own/low", own))
     assert low == ["tests/test_chosen.py", "tests/test_imported.py"]
-    assert tested(describe("reward/own/l", own)) == ["tests/test_module.py"]
-    assert tested(describe("reward/own/un", own)) == []
+    assert files_in(describe("reward/own/l", own)) == ["tests/test_module.py"]
+    assert files_in(describe("reward/own/un", own)) == []
 
 
 @pytest.mark.parametrize("how", ["in an environment", "without a project", "without tests"])
@@ -116,7 +116,7 @@ def test_a_package_that_is_installed_names_no_tests(
         (tmp_path / "tests").rename(tmp_path / "other")
     text = describe("reward/own/low", own)
     assert "\nin src/own_terms/terms.py, line 1\n" in text
-    assert tested(text) == []
+    assert files_in(text) == []
 
 
 def test_a_file_of_options() -> None:
