@@ -79,6 +79,8 @@ def un(value): return value
     "tests/test_module.py": "from own_terms import terms\nterms.left(1)",
     "tests/test_others.py": "# low, own/low\nlow = 'own/lower', 'low', 'my/own/low'\ndef test_low(): low",
     "tests/test_broken.py": "low = (",
+    "tests/test_escapes.py": "pattern = 'name: own/lower\\d'",
+    "tests/test_bytes.py": "'name: own/low'\0",
     "tests/helper.py": "from own_terms.terms import un\nun(1)",
 }
 
@@ -97,6 +99,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
 
 def test_tests_beside_a_package_of_ones_own(own: Plugins) -> None:
     """Those that name the part: neither one of another name, nor a comment, nor what is no test."""
+    Path("tests/test_nowhere.py").symlink_to("nothing")
     low = files_in(describe("reward/own/low", own))
     assert low == ["tests/test_chosen.py", "tests/test_imported.py"]
     assert files_in(describe("reward/own/l", own)) == ["tests/test_module.py"]

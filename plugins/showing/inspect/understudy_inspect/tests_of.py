@@ -6,6 +6,7 @@ import ast
 import inspect
 import re
 import sysconfig
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from understudy.setup.registry import Component
 
 
 def tests_of(component: Component) -> list[Path]:
-    """The test files of the part's plugin that name the part: its class or function where they import it or take it
-    from a module, or the name by which a configuration chooses it. Those that name it most come first; none of a package that is installed
-    without its tests."""
+    """The test files of the part's plugin that name the part, those first that name it most.
+
+    It is named by its class or function, imported or taken from a module, or as a configuration chooses it. None are
+    found of a package that is installed without its tests.
+    """
     factory = inspect.unwrap(component.factory)
     folder = _folder(factory, component.plugin)
     if folder is None:
@@ -26,7 +29,10 @@ def tests_of(component: Component) -> list[Path]:
     )
     found: dict[Path, int] = {}
     for file in sorted({*folder.rglob("test_*.py"), *folder.rglob("*_test.py")}):
-        text = file.read_text(encoding="utf-8")
+        try:
+            text = file.read_text(encoding="utf-8", errors="replace")
+        except OSError:  # a link to nothing, say
+            continue
         if own in text or component.name in text:
             found[file] = _count(text, own, chosen)
     return sorted((f for f, count in found.items() if count), key=lambda f: (-found[f], f))
@@ -53,8 +59,9 @@ def _folder(factory: object, plugin: str) -> Path | None:
 def _count(text: str, own: str, chosen: re.Pattern[str]) -> int:
     """How often a test file's `text` names the part: by its `own` name, or as a configuration has `chosen` it."""
     try:
-        nodes = list(ast.walk(ast.parse(text)))
-    except SyntaxError:
+        with warnings.catch_warnings(action="ignore"):  # of what a test file escapes
+            nodes = list(ast.walk(ast.parse(text)))
+    except (SyntaxError, ValueError):  # the latter of bytes that are none of Python's
         return 0
     imported = {name for node in nodes for name in _imported(node, own)}
     count = 0

@@ -101,15 +101,17 @@ class ProgressLine(RunObserver):
         if ends:
             parts.append(ends)
         text = " · ".join(parts)
-        below = self._terms.lines(self._line.console.width)
+        console = self._line.console
+        below = self._terms.lines(console.width) if console.is_terminal else ()
         if not self._line.show(done, text, below) and time.monotonic() - self._printed > _PAUSE:
             self._printed = time.monotonic()
             self._line.console.print(text, soft_wrap=True)
 
     def finished(self, run: Run, outcome: str) -> None:
         self._line.stop()
-        for text in self._terms.summary(min(self._line.console.width, _WIDTH)):
-            self._line.console.print(text, soft_wrap=True, markup=False)
+        console = self._line.console
+        for text in self._terms.summary(min(console.width, _WIDTH)):
+            console.print(text, soft_wrap=True, markup=False)
 
 
 def share(
