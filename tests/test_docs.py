@@ -65,11 +65,21 @@ def test_commands_compose(overrides: list[str]) -> None:
 def test_commands_of_a_new_plugin_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert main(["new", "plugin", "tall", "--folder", str(tmp_path / "tall")]) == 0
     monkeypatch.syspath_prepend(tmp_path / "tall" / "src")
+    package = tmp_path / "tall" / "src" / "understudy_tall"
+    page = (ROOT / "docs" / "how-do-i.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"^```yaml\n(.*?)^```", page, re.M | re.S)
+    (where,) = re.findall(r"`src/understudy_tall/(conf/\S+)`", page)
+    (package / where).parent.mkdir(parents=True)
+    (package / where).write_text(shown, encoding="utf-8")
     plugins = load(extra=[("tall", importlib.import_module("understudy_tall"))])
     assert len(NEW) == 2
     for overrides in NEW:
         experiment = load_experiment([*overrides, "num_worlds=2"], plugins)
         build_environment(experiment).environment.close()
+    (typed,) = (overrides for overrides in NEW if "encoder" in " ".join(overrides))
+    asked = load_experiment(typed, plugins).effective()
+    filed = load_experiment(["experiment=tall/walk"], plugins).effective()
+    assert [filed[k] for k in ("encoder", "policy")] == [asked[k] for k in ("encoder", "policy")]
 
 
 def test_the_demo_is_the_one_that_the_page_names() -> None:
@@ -125,6 +135,20 @@ def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
     check_plugin("balance", balance)
 
 
+def test_the_tests_that_the_tutorial_shows_pass(
+    balance: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But for the first, which is :func:`test_what_the_tutorial_grows_works`'s."""
+    (code,) = (text for text in snippets(TUTORIAL) if "check_plugin(" in text)
+    shown: dict[str, Any] = {}
+    exec(compile(code, str(TUTORIAL), "exec"), shown)
+    monkeypatch.setitem(shown, "load_experiment", lambda words: load_experiment(words, balance))
+    names = [n for n in shown if n.startswith("test_") and n != "test_my_plugin"]
+    assert len(names) == 2
+    for name in names:
+        shown[name]()
+
+
 def test_the_term_in_the_readme_is_the_tutorials() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     shown: dict[str, Any] = {}
@@ -155,14 +179,14 @@ def snippets(page: Path) -> list[str]:
 def test_from_python(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The page's three snippets, in a folder with the run that the second one opens."""
+    """The page's four snippets, in a folder with the run that the third one opens."""
     pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
     monkeypatch.chdir(tmp_path)
     words = ["experiment=miniature/go", "budget.samples=64", "num_worlds=4", "run.dir=runs/go"]
     words += ["evaluation.final_episodes=4", "run.video_seconds=0.2"]
     assert main(["train", *words]) == 0
     found = snippets(ROOT / "docs" / "from-python.md")
-    assert len(found) == 3
+    assert len(found) == 4
     capsys.readouterr()
     for text in found:
         exec(compile(text, "from-python.md", "exec"), {})

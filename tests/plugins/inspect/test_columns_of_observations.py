@@ -140,7 +140,21 @@ def test_as_overrides_change_it_and_what_reads_it(capsys: pytest.CaptureFixture[
         "other [4], read by no network",
     ]
     assert main(["describe", "learner/ppo", "learner.gamma=0.9"]) == 2
-    assert "KEY=VALUE goes with --columns" in capsys.readouterr().err
+    assert "KEY=VALUE goes with --observations, --columns" in capsys.readouterr().err
+
+
+def test_in_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    """What ``--columns`` has, without the columns."""
+    words = ["experiment/spacetime/walk", "encoder.extra={name: deepmimic/state}"]
+    assert main(["describe", "--columns", *words]) == 0
+    expected = heads(capsys.readouterr().out)
+    assert main(["describe", "--observations", *words]) == 0
+    found = capsys.readouterr().out.splitlines()
+    assert found == expected
+    assert len(found) == 3
+    assert "read by no network" in found[-1]
+    assert main(["describe", "learner/ppo", "--observations"]) == 2
+    assert "--observations is of a task, an experiment or a run" in capsys.readouterr().err
 
 
 def test_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

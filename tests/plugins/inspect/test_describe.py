@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
+import sysconfig
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from understudy.errors import ConfigError, PluginError
 from understudy.options import REQUIRED
-from understudy.setup.plugins import installed
+from understudy.setup.plugins import Plugins, installed, load
 from understudy_inspect.describe import describe, names
 
 
@@ -44,6 +48,78 @@ def test_where_a_part_is_defined(name: str, begins: str) -> None:
     found = re.search(r"^in (.+), line (\d+)$", describe(name, installed()), re.M)
     assert found is not None
     assert begins in Path(found[1]).read_text(encoding="utf-8").splitlines()[int(found[2]) - 1]
+
+
+def files_in(text: str) -> list[str]:
+    """The files that a description names."""
+    found = re.search(r"^tests: (.+)$", text, re.M)
+    return found[1].split(", ") if found else []
+
+
+def test_where_a_parts_tests_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parents[3])
+    found = files_in(describe("termination/spacetime/com_bound", installed()))
+    assert found[0] == "tests/plugins/spacetime/test_bounds.py", "it names the bound most"
+    assert files_in(describe("learner/ppo", installed()))
+    assert len(files_in(describe("scene/character", installed()))) == 5, "four, and how many more"
+
+
+#: A package of one's own, and its tests: file by file.
+OWN = {
+    "pyproject.toml": "",
+    "src/own_terms/__init__.py": """REQUIRES = ()
+PARTS = {"reward": {"own/low": ("terms:low", "low"), "own/l": ("terms:left", ""), "own/un": ("terms:un", "")}}
+""",
+    "src/own_terms/terms.py": """def low(value): return -value
+def left(value): return value
+def un(value): return value
+""",
+    "tests/test_imported.py": "from own_terms.terms import low\nassert low(1) == -1",
+    "tests/test_chosen.py": "words = ['reward.terms.a={name: own/low}', 'b=own/low', 'reward/own/low']",
+    "tests/test_module.py": "from own_terms import terms\nterms.left(1)",
+    "tests/test_others.py": "# low, own/low\nlow = 'own/lower', 'low', 'my/own/low'\ndef test_low(): low",
+    "tests/test_broken.py": "low = (",
+    "tests/test_escapes.py": "pattern = 'name: own/lower\\d'",
+    "tests/test_bytes.py": "'name: own/low'\0",
+    "tests/helper.py": "from own_terms.terms import un\nun(1)",
+}
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
+    for name, text in OWN.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path / "src")
+    yield load(extra=[("own", importlib.import_module("own_terms"))])
+    for name in [n for n in sys.modules if n.partition(".")[0] == "own_terms"]:
+        del sys.modules[name]
+
+
+def test_tests_beside_a_package_of_ones_own(own: Plugins) -> None:
+    """Those that name the part: neither one of another name, nor a comment, nor what is no test."""
+    Path("tests/test_nowhere.py").symlink_to("nothing")
+    low = files_in(describe("reward/own/low", own))
+    assert low == ["tests/test_chosen.py", "tests/test_imported.py"]
+    assert files_in(describe("reward/own/l", own)) == ["tests/test_module.py"]
+    assert files_in(describe("reward/own/un", own)) == []
+
+
+@pytest.mark.parametrize("how", ["in an environment", "without a project", "without tests"])
+def test_a_package_that_is_installed_names_no_tests(
+    how: str, own: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if how == "in an environment":  # whose folder may well lie in somebody's project
+        paths = {**sysconfig.get_paths(), "purelib": str(tmp_path / "src")}
+        monkeypatch.setattr(sysconfig, "get_paths", lambda: paths)
+    elif how == "without a project":
+        (tmp_path / "pyproject.toml").unlink()
+    else:
+        (tmp_path / "tests").rename(tmp_path / "other")
+    text = describe("reward/own/low", own)
+    assert "\nin src/own_terms/terms.py, line 1\n" in text
+    assert files_in(text) == []
 
 
 def test_a_file_of_options() -> None:

@@ -111,13 +111,19 @@ def test_what_nobody_reads_is_said(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     first = Training(load_experiment([*GO, *SMALL])).prepare()
-    (note,) = first.job.notes()
+    read, note = first.job.notes()
+    assert read == "The policy reads state [4] (actor and critic)."
     assert "No network reads the observation 'extra'" in note
     advice = next(word for word in note.split() if word.startswith("policy.")).rstrip(";")
     first.close()
     second = Training(load_experiment([*GO, *SMALL, advice])).prepare()
-    assert list(second.job.notes()) == []
+    (read,) = second.job.notes()
+    assert read == "The policy reads state [4] (actor and critic), extra [4] (actor and critic)."
     second.close()
+    third = Training(load_experiment([*GO, *SMALL, "policy.critic=[state,extra]"])).prepare()
+    (read,) = third.job.notes()
+    assert read == "The policy reads state [4] (actor and critic), extra [4] (critic)."
+    third.close()
 
 
 def test_an_added_observation_trains_plays_and_exports(

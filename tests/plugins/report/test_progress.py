@@ -9,6 +9,7 @@ import pytest
 from report_runs import make_run
 from rich.console import Console
 
+from understudy_report.by_term import ByTerm
 from understudy_report.progress import LiveLine, ProgressLine, clock, ending, share
 
 
@@ -96,3 +97,60 @@ def test_where_the_curves_are_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
     folder = tmp_path / "my [bold] runs"
     ProgressLine().started(make_run(folder))
     assert f"Curves: tensorboard --logdir '{folder}" in capsys.readouterr().err
+
+
+#: Of metrics, as a job of reinforcement writes them, with twelve terms.
+TERMS = [f"imitation_{i}" for i in range(12)]
+
+
+def by_term(iteration: int, value: float, episodes: float, **ended: float) -> dict[str, float]:
+    base = {"iteration": iteration, "samples": 50 * iteration, "seconds": 1.0 * iteration}
+    shares = {f"episode/ended_by/{name}": share for name, share in ended.items()}
+    rewards = {f"reward/{name}": value * i for i, name in enumerate(TERMS)}
+    rows = {"reward": value, **rewards, "episode/episodes": episodes, "episode/truncated": 0.25}
+    return {**base, "samples_per_second": 50.0, **rows, **shares}
+
+
+def test_what_is_said_by_term() -> None:
+    """The newest ten rows count; endings by how many episodes ended in each."""
+    terms = ByTerm()
+    terms.add(by_term(1, 1000.0, 50.0, fall=1.0, bound=1.0))
+    for i in range(2, 11):
+        terms.add(by_term(i, 1.0, 0.0, fall=0.0, bound=0.0))
+    terms.add(by_term(11, 2.0, 1.0, fall=0.0, bound=1.0))
+    terms.add(by_term(12, 2.0, 3.0, fall=1.0, bound=0.0))
+    head, *lines = terms.summary(80)
+    assert head == "Means of the last 10 iterations:"
+    assert max(map(len, lines)) <= 80
+    found = " ".join(" ".join(lines).replace("·", " ").split())
+    rewards, endings = found.split(" 4 episodes ended by: ")
+    expected = " ".join(f"{name} {1.2 * i:.3g}" for i, name in enumerate(TERMS))
+    assert rewards == f"reward 1.2: {expected}"
+    assert endings == "fall 75 % bound 25 % truncated 25 %"
+    assert 3 <= len(lines) <= 6, "twelve terms in a few lines"
+
+
+def test_of_one_term_and_of_none() -> None:
+    one, none = ByTerm(), ByTerm()
+    one.add({"iteration": 1, "reward": 0.5, "episode/episodes": 0.0})
+    none.add({"iteration": 1, "loss": 0.5})
+    assert one.summary(80) == ["The last iteration:", "  reward 0.5"]
+    assert none.summary(80) == ByTerm().summary(80) == []
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_terms_below_the_bar_and_at_the_end(terminal: bool, tmp_path: Path) -> None:
+    run, line, written = make_run(tmp_path), ProgressLine(), io.StringIO()
+    run.info["config"]["budget"] = {"samples": 1000, "minutes": None}
+    line._line.console = Console(file=written, force_terminal=terminal, width=100, highlight=False)
+    line.started(run)
+    line.iteration(run, by_term(1, 0.5, 8.0, fall=0.5), "")
+    if terminal:
+        assert line._line._bar is not None
+        line._line._bar.refresh()
+    while_training = written.getvalue()
+    assert ("8 episodes ended by: fall 50 % · truncated 25 %" in while_training) == terminal
+    line.finished(run, "budget")
+    at_the_end = written.getvalue()[len(while_training) :]
+    assert "The last iteration:\n  reward 0.5: imitation_0 0 · imitation_1 0.5 · " in at_the_end
+    assert "  8 episodes ended by: fall 50 % · truncated 25 %\n" in at_the_end

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -53,7 +54,7 @@ def test_a_new_plugin_passes_at_once(
         timeout=250, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    assert "4 passed" in done.stdout
+    assert "8 passed" in done.stdout
 
 
 def test_what_comes_next_is_of_this_environment(
@@ -85,12 +86,62 @@ def test_a_new_paper_passes_at_once(tmp_path: Path) -> None:
     install(written, tmp_path / "site")
     done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "6 passed" in done.stdout
+    assert "10 passed" in done.stdout
     assert (written / "docs" / "thrown.md").is_file()
     texts = [
         f.read_text() for f in written.rglob("*") if f.suffix in (".py", ".md", ".yaml", ".toml")
     ]
-    assert not [text for text in texts if "$name" in text or "NAME" in text]
+    assert not [text for text in texts if "$name" in text or "NAME" in text or ">>>" in text]
+
+
+@pytest.mark.parametrize(
+    ("only", "there", "away", "passed"),
+    [("reward", "terms.py", "encoder", 7), ("observation", "encoders.py", "reward", 3)],
+)
+def test_one_of_both_alone(
+    only: str,
+    there: str,
+    away: str,
+    passed: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Nothing in what is written or printed speaks of the other, and its tests pass."""
+    written = tmp_path / "tall"
+    assert main(["new", "plugin", "tall", "--only", only, "--folder", str(written)]) == 0
+    said = capsys.readouterr().out
+    sources = written / "src" / "understudy_tall"
+    assert {f.name for f in sources.iterdir()} == {"__init__.py", there}
+    texts = [f.read_text() for f in (*sources.iterdir(), *written.glob("tests/*.py"))]
+    assert not [text for text in [said, *texts] if away in text or ">>>" in text]
+    (printed,) = re.findall(r"(pip install .*-e )", said)
+    assert f"\n{printed}.\n" in (written / "README.md").read_text()
+    install(written, tmp_path / "site")
+    done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{passed} passed" in done.stdout
+
+
+@pytest.mark.parametrize("wrong", ["com_position[:, :1]", "com_position[:1, 2:].expand(4, 1)"])
+def test_the_test_of_the_observation_can_fail(wrong: str, tmp_path: Path) -> None:
+    """One that gives another coordinate, or all worlds the same."""
+    written = tmp_path / "tall"
+    assert main(["new", "plugin", "tall", "--only", "observation", "--folder", str(written)]) == 0
+    encoders = written / "src" / "understudy_tall" / "encoders.py"
+    text = encoders.read_text()
+    assert "com_position[:, 2:]" in text
+    encoders.write_text(text.replace("com_position[:, 2:]", wrong))
+    install(written, tmp_path / "site")
+    done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
+    assert done.returncode == 1
+    assert "test_what_is_observed" in done.stdout
+
+
+def test_only_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    where = ["--folder", str(tmp_path / "tall")]
+    assert main(["new", "plugin", "tall", "--only", "memory", *where]) == 2
+    assert "choose from" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,8 @@ class Reinforcement(Job):
         self._failing = 1.0
         self._on_fault: Callable[[str, State], None] | None = None
         self._started: Mapping[str, Any] = {}
-        self._unread: list[str] = []
+        #: By observation which of actor and critic read it.
+        self._readers: dict[str, list[str]] = {}
 
     def prepare(self) -> None:
         experiment = self.experiment
@@ -82,7 +83,7 @@ class Reinforcement(Job):
         self.environment = built.environment
         observations = self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
-        self._unread = [name for name, who in self.policy.readers(observations).items() if not who]
+        self._readers = self.policy.readers(observations)
         self.learner = experiment.need("learner").build(built.context, self.policy)
         self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
@@ -277,17 +278,25 @@ class Reinforcement(Job):
         return found | scene | ({"start": self._started} if self._started else {})
 
     def notes(self) -> list[str]:
-        known = self.environment.parts.encoders.keys() - set(self._unread)
+        shapes = self.environment.observation_shapes
+        seen = [
+            f"{name} {list(shapes[name])} ({' and '.join(who)})"
+            for name, who in self._readers.items()
+            if who
+        ]
+        unread = [name for name, who in self._readers.items() if not who]
+        known = self.environment.parts.encoders.keys() - set(unread)
         chosen = self.experiment.need("policy")
         where, read = [("policy.observation", []), *_naming(chosen.effective(), "policy", known)][
             -1
         ]
-        return [
+        missed = [
             f"No network reads the observation '{name}'. To have it read, write "
             f"{where}=[{','.join([*read, name])}]; `understudy describe policy/{chosen.component.name}` "
             "has what else a network may read."
-            for name in self._unread
+            for name in unread
         ]
+        return [f"The policy reads {', '.join(seen) or 'no observation'}.", *missed]
 
     def report(self) -> Mapping[str, int]:
         return self.environment.parts.simulator.report()

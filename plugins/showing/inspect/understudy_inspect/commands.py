@@ -116,7 +116,7 @@ class Describe(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "part",
-            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; with --columns or --fields a run folder, too",
+            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; with --observations, --columns or --fields a run folder, too",
         )
         asked = parser.add_mutually_exclusive_group()
         asked.add_argument(
@@ -125,9 +125,14 @@ class Describe(Command):
             help="of a task, an experiment or a run, as KEY=VALUE changes it: the state fields that its parts can read, with their shapes",
         )
         asked.add_argument(
+            "--observations",
+            action="store_true",
+            help="of a task, an experiment or a run, as KEY=VALUE changes it: its observations, how large each is, and what reads it",
+        )
+        asked.add_argument(
             "--columns",
             action="store_true",
-            help="of a task, an experiment or a run, as KEY=VALUE changes it: what each column of its observations is, and what reads them",
+            help="as --observations, and what each of their columns is",
         )
 
     def run(self, options: argparse.Namespace) -> int:
@@ -136,12 +141,14 @@ class Describe(Command):
             raise ConfigError(
                 f"'{words[0]}' is not taken here. Did you mean `understudy describe {joined}`?"
             )
-        if words and not (options.columns or options.fields):
+        seen = options.columns or options.observations
+        if words and not (seen or options.fields):
             raise ConfigError(
-                f"'{words[0]}' is not taken here: KEY=VALUE goes with --columns or --fields. See `understudy describe --help`."
+                f"'{words[0]}' is not taken here: KEY=VALUE goes with --observations, --columns or --fields. "
+                "See `understudy describe --help`."
             )
-        if options.columns:
-            print(observed(part, plugins, words))
+        if seen:
+            print(observed(part, plugins, words, columns=options.columns))
         else:
             print(
                 read_by_parts(part, plugins, words) if options.fields else describe(part, plugins)

@@ -27,6 +27,10 @@ from understudy.setup.root import Root
 from understudy.setup.validation import EXTRAS
 from understudy.testing.sentences import sentences
 from understudy_inspect.catalogue import Offer, offers
+from understudy_inspect.tests_of import tests_of
+
+#: Of the files that test a part: those that name it most.
+_SHOWN = 4
 
 #: What components of a kind take besides their own options.
 _OF_KIND = {
@@ -72,14 +76,17 @@ def describe(name: str, plugins: Plugins) -> str:
     )
 
 
-def observed(name: str, plugins: Plugins, overrides: Sequence[str] = ()) -> str:
-    """What each column of the observations of a task, experiment or run is, in order, and what reads them where there
-    is a policy. Builds one world on the CPU.
+def observed(
+    name: str, plugins: Plugins, overrides: Sequence[str] = (), *, columns: bool = True
+) -> str:
+    """The observations of a task, experiment or run: the shape of each, what reads it where there is a policy, and
+    what each of its columns is, in order. Builds one world on the CPU.
 
     Parameters
     ----------
     name : ``task/NAME``, ``experiment/NAME`` (or with ``=``), or a run folder
     overrides : as a training takes them
+    columns : whether they are wanted, a line each
 
     Raises
     ------
@@ -89,12 +96,13 @@ def observed(name: str, plugins: Plugins, overrides: Sequence[str] = ()) -> str:
         if the run folder is damaged.
     """
     lines = []
-    with _built(name, plugins, overrides, "--columns") as (experiment, built):
+    asked = "--columns" if columns else "--observations"
+    with _built(name, plugins, overrides, asked) as (experiment, built):
         readers = _readers(experiment, built)
-        for observation, columns in built.environment.observation_columns.items():
+        for observation, names in built.environment.observation_columns.items():
             shape = list(built.environment.observation_shapes[observation])
             lines.append(f"{observation} {shape}{readers.get(observation, '')}")
-            lines += [f"  {number:>4}  {column}" for number, column in enumerate(columns)]
+            lines += [f"  {n:>4}  {name}" for n, name in enumerate(names) if columns]
     return "\n".join(lines)
 
 
@@ -175,7 +183,8 @@ def _component(component: Component, plugins: Plugins) -> str:
     parts = [
         f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
         f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")")
-        + _place(factory),
+        + _place(factory)
+        + _tested(component),
         *_paragraphs(factory),
         *(_paragraphs(schema) if schema is not None and "(" not in (schema.__doc__ or "(") else []),
     ]  # fmt: skip
@@ -211,8 +220,20 @@ def _place(factory: Any) -> str:
         file, line = Path(inspect.getfile(thing)), inspect.getsourcelines(thing)[1]
     except (OSError, TypeError):  # there is no source
         return ""
+    return f"\nin {_from_here(file)}, line {line}"
+
+
+def _tested(component: Component) -> str:
+    """A line that says which files test it; nothing where there are none."""
+    files = [_from_here(file) for file in tests_of(component)]
+    more = [f"{len(files) - _SHOWN} more"] if len(files) > _SHOWN else []
+    return f"\ntests: {', '.join([*files[:_SHOWN], *more])}" if files else ""
+
+
+def _from_here(file: Path) -> str:
+    """As one types it: from the working folder where it is below that."""
     here = Path.cwd()
-    return f"\nin {file.relative_to(here) if file.is_relative_to(here) else file}, line {line}"
+    return str(file.relative_to(here) if file.is_relative_to(here) else file)
 
 
 def _offer(group: str, offer: Offer, plugins: Plugins) -> str:

@@ -4,45 +4,61 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.text import Text
 
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
+from understudy_report.by_term import ByTerm
 
 __all__ = ["LiveLine", "clock"]
 
 #: Seconds between lines where there is no terminal.
 _PAUSE = 10.0
+#: Characters of a line of the summary at most.
+_WIDTH = 120
 #: Share of the usual samples before which no time is told from them: learners that first gather are fast at first.
 _EARLY = 0.25
 
 
+class _Bar(Progress):
+    """A bar with lines below it."""
+
+    below: Sequence[str] = ()
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        for line in self.below:
+            yield Text(line, no_wrap=True, overflow="ellipsis")
+
+
 class LiveLine:
-    """A bar and a note beside it on a terminal, once started; elsewhere there is none."""
+    """A bar, a note beside it and lines below it on a terminal, once started; elsewhere there is none."""
 
     def __init__(self, what: str) -> None:
         self.console = Console(stderr=True, highlight=False)
         self._what = what
-        self._bar: Progress | None = None
+        self._bar: _Bar | None = None
         self._task = TaskID(0)
 
     def start(self) -> None:
         if self.console.is_terminal:
-            self._bar = Progress(
+            self._bar = _Bar(
                 TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
                 console=self.console, transient=True,
             )  # fmt: skip
             self._bar.start()
             self._task = self._bar.add_task(self._what, total=1.0, note="")
 
-    def show(self, share: float, note: str) -> bool:
+    def show(self, share: float, note: str, below: Sequence[str] = ()) -> bool:
         """Move the bar to that `share`; returns whether there is one."""
         if self._bar is None:
             return False
+        self._bar.below = below
         self._bar.update(self._task, completed=share, note=note)
         return True
 
@@ -52,10 +68,12 @@ class LiveLine:
 
 
 class ProgressLine(RunObserver):
-    """Shows samples, speed, returns, and the time that the budget leaves."""
+    """Shows samples, speed, returns, and the time that the budget leaves; rewards by term and what ended episodes stand below
+    the bar of a terminal, and are printed at the end."""
 
     def __init__(self) -> None:
         self._line = LiveLine("training")
+        self._terms = ByTerm()
         self._printed = 0.0
         self._first: Mapping[str, float] | None = None
 
@@ -67,6 +85,7 @@ class ProgressLine(RunObserver):
 
     def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
         self._first = self._first or row
+        self._terms.add(row)
         done, left = share(run.config["budget"], row, self._first)
         ends = ending(run.config, row, left)
         parts = [
@@ -82,12 +101,17 @@ class ProgressLine(RunObserver):
         if ends:
             parts.append(ends)
         text = " · ".join(parts)
-        if not self._line.show(done, text) and time.monotonic() - self._printed > _PAUSE:
+        console = self._line.console
+        below = self._terms.lines(console.width) if console.is_terminal else ()
+        if not self._line.show(done, text, below) and time.monotonic() - self._printed > _PAUSE:
             self._printed = time.monotonic()
             self._line.console.print(text, soft_wrap=True)
 
     def finished(self, run: Run, outcome: str) -> None:
         self._line.stop()
+        console = self._line.console
+        for text in self._terms.summary(min(console.width, _WIDTH)):
+            console.print(text, soft_wrap=True, markup=False)
 
 
 def share(

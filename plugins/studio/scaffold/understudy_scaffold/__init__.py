@@ -6,7 +6,10 @@ REQUIRES: tuple[str, ...] = ()
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
     "command": {
-        "new plugin": ("new:NewPlugin", "write a package with one term"),
+        "new plugin": (
+            "new:NewPlugin",
+            "write a package with rewards and an observation, or one of these",
+        ),
         "new paper": ("new:NewPaper", "the same, with an experiment, page and table"),
     },
 }

@@ -10,7 +10,7 @@ import shutil
 import string
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,31 +20,30 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import installed
 
 _TEMPLATES = Path(__file__).parent / "templates"
+#: Of a template, what belongs to one part of the package.
+_BLOCK = re.compile(r"^# >>> ([a-z ]+)\n(.*?)^# <<<\n", re.M | re.S)
+
+
+#: What a package can begin with; each is a folder of templates, too.
+PARTS = ("reward", "observation")
 
 
 class NewPlugin(Command):
-    """Writes a distribution with two rewards and an observation, their tests, README and entry point, and says what comes next."""
+    """Writes a distribution with two rewards and an observation, or with one of these alone, their tests, README and entry
+    point, and says what comes next."""
 
     example = "understudy new plugin balance"
 
-    #: Of the templates, later ones replacing files of earlier ones.
-    templates: tuple[str, ...] = ("plugin",)
-
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("name", help="of the plugin: a word, as in `juggling`")
-        parser.add_argument("--folder", type=Path, help="where to write; else understudy-NAME")
+        _where(parser)
+        parser.add_argument(
+            "--only",
+            choices=PARTS,
+            help="what to begin with: rewards (a function and a class) or an observation; else both",
+        )
 
     def run(self, options: argparse.Namespace) -> int:
-        name = checked_name(options.name)
-        folder = options.folder or Path(f"understudy-{name.replace('_', '-')}")
-        if folder.exists():
-            raise FileError(f"{folder} is there already. Name another one: --folder FOLDER.")
-        try:
-            _write(folder, name, self.templates)
-        except OSError as error:
-            raise FileError(f"{folder} cannot be written: {error.strerror}.") from error
-        print(next_steps(folder, name))
-        return 0
+        return _begin(options, (options.only,) if options.only else PARTS)
 
 
 class NewPaper(Command):
@@ -53,32 +52,68 @@ class NewPaper(Command):
     example = "understudy new paper hopping"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        self._plugin = NewPlugin()
-        self._plugin.templates = ("plugin", "paper")
-        self._plugin.arguments(parser)
+        _where(parser)
 
     def run(self, options: argparse.Namespace) -> int:
-        return self._plugin.run(options)
+        return _begin(options, PARTS, "paper")
 
 
-def next_steps(folder: Path, name: str) -> str:
+def _where(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("name", help="of the plugin: a word, as in `juggling`")
+    parser.add_argument("--folder", type=Path, help="where to write; else understudy-NAME")
+
+
+def _begin(options: argparse.Namespace, parts: Sequence[str], *more: str) -> int:
+    """Write the package with these `parts` and, over it, `more` templates; print what comes next."""
+    name = checked_name(options.name)
+    folder = options.folder or Path(f"understudy-{name.replace('_', '-')}")
+    if folder.exists():
+        raise FileError(f"{folder} is there already. Name another one: --folder FOLDER.")
+    try:
+        _write(folder, name, ("plugin", *parts, *more))
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror}.") from error
+    print(next_steps(folder, name, parts))
+    return 0
+
+
+def next_steps(folder: Path, name: str, parts: Sequence[str] = PARTS) -> str:
     """What to type now: the commands of this environment, whether or not it is activated."""
     here = Path(sys.executable).parent
     found = shutil.which("pip")
     programs = "" if found and Path(found).parent == here else f"{shlex.quote(str(here))}/"
-    # What builds the package is there in an environment for developers: then nothing is fetched.
-    alone = "--no-build-isolation --no-deps " if find_spec("hatchling") else ""
+    alone = _alone()
     testing = "" if find_spec("pytest") else f"{programs}pip install pytest && "
     where = shlex.quote(str(folder))
     train = f"{programs}understudy train experiment=spacetime/walk budget.samples=20000 run.video_seconds=0"
-    return f"""\
-{folder}/src/understudy_{name} has two rewards in terms.py, {name}/still, a function, and {name}/high, a class;
-and an observation, {name}/height, in encoders.py.
-Install and test:   {programs}pip install {alone}-e {where} && {testing}{programs}pytest {where}
-Train by a reward:  {train} 'reward.terms.high={{name: {name}/high}}'
-  an observation:   {train} 'encoder.extra={{name: {name}/height}}' 'policy.feedback.observation=[state,extra]'
-Write your own:     beside these or in their place, each with its line in __init__.py and its test
-What it can read:   {programs}understudy describe --fields experiment/spacetime/walk"""
+    has = {
+        "reward": f"two rewards in terms.py, {name}/still, a function, and {name}/high, a class",
+        "observation": f"an observation, {name}/height, in encoders.py",
+    }
+    tries = {
+        "reward": ("Train by a reward:", f"'reward.terms.high={{name: {name}/high}}'"),
+        "observation": (
+            "Train with the observation:",
+            f"'encoder.extra={{name: {name}/height}}' 'policy.feedback.observation=[state,extra]'",
+        ),
+    }
+    rows = [
+        ("Install and test:", f"{programs}pip install {alone}-e {where} && {testing}{programs}pytest {where}"),
+        *((what, f"{train} {words}") for what, words in map(tries.__getitem__, parts)),
+        ("Write your own:", "beside these or in their place, each with its line in __init__.py and its test"),
+        ("What it can read:", f"{programs}understudy describe --fields experiment/spacetime/walk"),
+    ]  # fmt: skip
+    begun = ";\nand ".join(has[part] for part in parts)
+    lines = [
+        f"{folder}/src/understudy_{name} has {begun}.",
+        *(f"{what:<28} {words}" for what, words in rows),
+    ]
+    return "\n".join(lines)
+
+
+def _alone() -> str:
+    """Options of pip with which nothing is fetched, where what builds the package is there, as for developers."""
+    return "--no-build-isolation --no-deps " if find_spec("hatchling") else ""
 
 
 def checked_name(name: str) -> str:
@@ -117,9 +152,20 @@ def _write(folder: Path, name: str, templates: tuple[str, ...]) -> None:
 
 def _files(name: str, templates: tuple[str, ...]) -> Iterator[tuple[Path, str]]:
     """Each file's place in the folder, and its text."""
-    values = {"name": name, "dashed": name.replace("_", "-"), "version": __version__}
+    values = {
+        "name": name, "dashed": name.replace("_", "-"), "version": __version__, "alone": _alone(),
+    }  # fmt: skip
     for template in templates:
         for file in sorted((_TEMPLATES / template).rglob("*.txt")):
             place = file.relative_to(_TEMPLATES / template).with_suffix("")
-            text = string.Template(file.read_text(encoding="utf-8")).substitute(values)
-            yield Path(str(place).replace("NAME", name)), text
+            text = _chosen(file.read_text(encoding="utf-8"), templates)
+            filled = string.Template(text).substitute(values)
+            yield Path(str(place).replace("NAME", name)), filled
+
+
+def _chosen(text: str, templates: Sequence[str]) -> str:
+    """A template's `text` without the blocks, ``# >>> PART`` to ``# <<<``, of parts that are not among the `templates`;
+    ``PART alone`` is a block for packages with no other part."""
+    alone = [part for part in PARTS if part in templates]
+    known = {*templates, *(f"{part} alone" for part in alone if len(alone) == 1)}
+    return _BLOCK.sub(lambda block: block[2] if block[1] in known else "", text)
