@@ -112,14 +112,7 @@ class Ours:
     arm = ARM
 
     def __init__(self, device: str, worlds: int, substeps: int, **options: Any) -> None:
-        context = Context(
-            seed=0,
-            device=torch.device(device),
-            num_worlds=worlds,
-            control_dt=PERIOD,
-            substeps=substeps,
-            scene=Sleeve(),
-        )
+        context = Context(0, torch.device(device), worlds, PERIOD, substeps, scene=Sleeve())
         self.simulator = ClothSimulator(ClothSimulator.Options(**options), context)
         self.control = torch.zeros(worlds, 18, device=device)
         self.control[:, :2] = torch.tensor(offsets(worlds), device=device)

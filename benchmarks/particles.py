@@ -68,14 +68,7 @@ class Side:
 
 
 def ours(device: str, worlds: int, traversal: Any, threads: int) -> Side:
-    context = Context(
-        seed=0,
-        device=torch.device(device),
-        num_worlds=worlds,
-        control_dt=PERIOD,
-        substeps=SUBSTEPS,
-        scene=Grains(),
-    )
+    context = Context(0, torch.device(device), worlds, PERIOD, SUBSTEPS, scene=Grains())
     options = ParticleSimulator.Options(iterations=ITERATIONS, traversal=traversal, threads=threads)
     simulator = ParticleSimulator(options, context)
     control = torch.zeros(worlds, 6, device=device)

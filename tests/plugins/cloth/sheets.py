@@ -60,14 +60,7 @@ def simulator(
     period: float = 0.01,
     **options: Any,
 ) -> ClothSimulator:
-    context = Context(
-        seed=0,
-        device=torch.device(device),
-        num_worlds=worlds,
-        control_dt=period,
-        substeps=substeps,
-        scene=Scene(model),
-    )
+    context = Context(0, torch.device(device), worlds, period, substeps, scene=Scene(model))
     return ClothSimulator(ClothSimulator.Options(**options), context)
 
 

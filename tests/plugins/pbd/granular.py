@@ -45,14 +45,7 @@ def tied(positions: np.ndarray, reach: float, **options: Any) -> Springs:
 def simulator(
     model: ParticleModel, worlds: int = 1, device: str = "cpu", substeps: int = 4, **options: Any
 ) -> ParticleSimulator:
-    context = Context(
-        seed=0,
-        device=torch.device(device),
-        num_worlds=worlds,
-        control_dt=PERIOD,
-        substeps=substeps,
-        scene=Scene(model),
-    )
+    context = Context(0, torch.device(device), worlds, PERIOD, substeps, scene=Scene(model))
     return ParticleSimulator(ParticleSimulator.Options(**options), context)
 
 
