@@ -272,7 +272,10 @@ def _picture(limbs: np.ndarray, bar: float, width: int, height: int) -> np.ndarr
         colour, radius = _LOOKS[row]
         # the head is a ball at its end
         begin, end = limbs[row, [1, 1]] if row == 1 else limbs[row]
-        (left, low), (right, high) = np.minimum(begin, end) - radius, np.maximum(begin, end) + radius
+        (left, low), (right, high) = (
+            np.minimum(begin, end) - radius,
+            np.maximum(begin, end) + radius,
+        )
         paint((left, right, low, high), partial(_limb, begin, end, radius), colour)
     return frame.round().astype(np.uint8)
 
