@@ -6,9 +6,9 @@ needs, and throws them away.
 
 from __future__ import annotations
 
-import copy
 import functools
 import os
+import pickle
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from stat import S_ISREG
@@ -26,11 +26,11 @@ from omegaconf import DictConfig, OmegaConf
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
-#: A file's path, time of change, size and number.
+#: A file's path, time of change, size and number. What they say is kept as bytes, which are copied the fastest.
 State = tuple[str | int, ...]
-_read: dict[State, ConfigResult | None] = {}
+_read: dict[State, bytes] = {}
 #: What files alone compose, by their folders and what chose them, and which files these were.
-_composed: dict[tuple[str, ...], tuple[dict[str, State | None], DictConfig]] = {}
+_composed: dict[tuple[str, ...], tuple[dict[str, State | None], bytes]] = {}
 _MOST = 100  #: such compositions that are kept
 
 
@@ -55,11 +55,11 @@ class OptionFiles(ConfigRepository):
         if config_path not in self._loaded:
             state = self.states[config_path] = self.state(config_path)
             if state and state not in _read:
-                _read[state] = found = super().load_config(config_path)
+                found = super().load_config(config_path)
                 if found:
                     found.is_schema_source = True  # for which Hydra seeks no schema
-            kept = _read[state] if state else None
-            self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
+                _read[state] = pickle.dumps(found)  # for Hydra changes what it is given
+            self._loaded[config_path] = pickle.loads(_read[state]) if state else None
         return self._loaded[config_path]
 
     def state(self, config_path: str) -> State | None:
@@ -108,9 +108,9 @@ def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
     if config is None or any(files.state(path) != state for path, state in states.items()):
         defaults = choices(files, overrides).defaults
         loader = ConfigLoaderImpl(ConfigSearchPathImpl())
-        config = loader._compose_config_from_defaults_list(defaults, files)
-        OmegaConf.set_struct(config, True)
+        composed = loader._compose_config_from_defaults_list(defaults, files)
+        OmegaConf.set_struct(composed, True)
         if len(_composed) >= _MOST:
             _composed.clear()
-        _composed[key] = (files.states, config)
-    return copy.deepcopy(config)
+        _composed[key] = (files.states, config := pickle.dumps(composed))
+    return pickle.loads(config)
