@@ -717,8 +717,8 @@ MUTANTS = (
     Mutant(
         "a composition changes no file of options that is kept",
         f"{KERNEL}/setup/option_files.py",
-        "copy.deepcopy(kept)",
-        "kept",
+        "pickle.loads(_read[state]) if",
+        "_read.setdefault((*state, 0), pickle.loads(_read[state])) if",
         "tests/kernel/setup/test_option_files.py -k handed_out",
     ),
     Mutant(
