@@ -14,6 +14,8 @@ from understudy_sequencing.stages import Stages
 
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
 SMALL = ["device=cpu", "curriculum=null", "simulators.person.name=mujoco", "scenes.cloth.edge=0.03", "scene.steps.cloth=10"]  # fmt: skip
+#: Coarser, and put on in fewer sub-steps: the kept policies still do it.
+COARSE = [*SMALL, "scenes.cloth.edge=0.032", "scenes.cloth.substeps=5", "simulators.cloth.self_contact=false"]  # fmt: skip
 KEPT = Path(__file__).resolve().parents[3] / "docs" / "benchmarks" / "dressing"
 GRIP = f"{{run: {KEPT}/shirt_grip.json, until: {{field: gripped, at_least: 1.0}}, seconds: 4.0}}"
 TUCK = f"{{run: {KEPT}/shirt_tuck.json, until: {{field: tucked, at_least: 1.0, lasting: 0.64}}, seconds: 4.0}}"
@@ -22,7 +24,7 @@ NAMES = ("grip", "tuck", "sleeve", "regrip", "tuck_second", "sleeve_second", "fi
 
 def test_the_first_two_in_one_episode() -> None:
     """Both kept policies, one after the other, from a shirt on the shoulders."""
-    words = ["experiment=dressing/shirt", f"actuation.stages=[{GRIP}, {TUCK}]", *SMALL, "num_worlds=2"]  # fmt: skip
+    words = ["experiment=dressing/shirt", f"actuation.stages=[{GRIP}, {TUCK}]", *COARSE, "num_worlds=2"]  # fmt: skip
     environment = build_environment(load_experiment(words), evaluating=True).environment
     environment.reset(seed=1)
     done = torch.zeros(2, dtype=torch.bool)
@@ -33,6 +35,8 @@ def test_the_first_two_in_one_episode() -> None:
             assert (environment.table["stage"] == 1).all()
             assert not done.any()
             assert environment.table["grip_closed"].tolist() == [[1.0, 0.0]] * 2
+        if decision > 8 and done.all():
+            break
     assert done.all()
     environment.close()
 
@@ -42,7 +46,7 @@ def test_the_third_is_kept_too() -> None:
     sleeve = (
         f"{{run: {KEPT}/shirt_sleeve.json, until: {{field: dressed, at_least: 1.0}}, seconds: 4.0}}"
     )
-    words = ["experiment=dressing/shirt", f"actuation.stages=[{sleeve}]", *SMALL, "num_worlds=2", "initial_states.worn=in_sleeve"]  # fmt: skip
+    words = ["experiment=dressing/shirt", f"actuation.stages=[{sleeve}]", *COARSE, "num_worlds=2", "initial_states.worn=in_sleeve"]  # fmt: skip
     environment = build_environment(load_experiment(words), evaluating=True).environment
     environment.reset(seed=1)
     done, through = torch.zeros(2, dtype=torch.bool), torch.zeros(2, dtype=torch.bool)

@@ -24,6 +24,7 @@ from understudy_ppo.losses import KLPenalty, clipped_surrogate
 
 STEPS = 16
 ADAM = {"actor_learning_rate": 3e-3, "critic_learning_rate": 3e-3}
+FAST = {"actor_learning_rate": 6e-3, "critic_learning_rate": 9e-3}
 SGD = {
     "optimiser": "sgd",
     "momentum": 0.9,
@@ -49,20 +50,20 @@ def make(
 @pytest.mark.parametrize(
     ("options", "space"),
     [
-        pytest.param(ADAM, STEP, id="clip"),
-        pytest.param(ADAM, SIDE_AND_STEP, id="hybrid"),
-        pytest.param(ADAM | {"clip": None, "kl_penalty": KLPenalty(100.0)}, STEP, id="penalty"),
-        pytest.param(ADAM | {"kl_penalty": KLPenalty()}, SIDE_AND_STEP, id="clip-and-penalty"),
-        pytest.param(ADAM | {"minibatches": None, "batch_size": 100}, STEP, id="batch-size"),
-        pytest.param(ADAM | {"precision": "bfloat16"}, STEP, id="bfloat16"),
-        pytest.param(ADAM | {"weight_decay": 1e-3}, STEP, id="weight-decay"),
+        pytest.param(FAST, STEP, id="clip"),
+        pytest.param(FAST, SIDE_AND_STEP, id="hybrid"),
+        pytest.param(FAST | {"clip": None, "kl_penalty": KLPenalty(100.0)}, STEP, id="penalty"),
+        pytest.param(FAST | {"kl_penalty": KLPenalty()}, SIDE_AND_STEP, id="clip-and-penalty"),
+        pytest.param(FAST | {"minibatches": None, "batch_size": 100}, STEP, id="batch-size"),
+        pytest.param(FAST | {"precision": "bfloat16"}, STEP, id="bfloat16"),
+        pytest.param(FAST | {"weight_decay": 1e-3}, STEP, id="weight-decay"),
         pytest.param(SGD, STEP, id="sgd"),
-        pytest.param(ADAM | {"td_lambda": 0.8, "entropy_weight": 1e-3}, STEP, id="td-lambda"),
+        pytest.param(FAST | {"td_lambda": 0.8, "entropy_weight": 1e-3}, STEP, id="td-lambda"),
     ],
 )
 def test_learns_to_stay_near(options: dict[str, Any], space: ActionSpace) -> None:
     line, learner = make(options, space)
-    rows = train(line, learner.update, STEPS, 20)
+    rows = train(line, learner.update, STEPS, 15)
     assert sum(row["reward"] for row in rows[:2]) / 2 < 0.55
     assert sum(row["reward"] for row in rows[-2:]) / 2 > 0.8  # 0.9 at best with this noise
     assert all(row["skipped_steps"] == 0 for row in rows)

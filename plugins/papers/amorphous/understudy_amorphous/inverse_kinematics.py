@@ -118,6 +118,59 @@ def follow(
     return Motion(np.array(poses), place, turn)
 
 
+class _Apart(mink.Limit):
+    """Geoms keep `clearance` m apart: mink's limit of that kind, measured once a step for all tries, of all pairs at once."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        apart: Sequence[tuple[Sequence[int], Sequence[int]]],
+        clearance: float,
+    ) -> None:
+        groups = [(list(group), list(others)) for group, others in apart]
+        #: (K, 2) geoms: without those of one body or of a body and its parent, which always touch
+        self.pairs = mink.CollisionAvoidanceLimit(model, groups).geom_id_pairs
+        self._model, self._clearance = model, clearance
+        moves = np.zeros((model.nbody, model.nv), bool)
+        for body in range(1, model.nbody):
+            first = model.body_dofadr[body]
+            moves[body] = moves[model.body_parentid[body]]
+            moves[body, first : first + model.body_dofnum[body]] = True
+        bodies = model.geom_bodyid[np.array(self.pairs, int).reshape(-1, 2)]
+        #: (K, 2, nv) which degrees of freedom move the geoms, and (K, 2) the first bodies of their trees
+        self._moves, self._roots = moves[bodies], model.body_rootid[bodies]
+        #: m a step by which what is nearer than the clearance parts
+        self.away = 0.0
+        self._towards, self._room = np.zeros((0, model.nv)), np.zeros(0)
+
+    def measure(self, data: mujoco.MjData) -> None:
+        """Where the geoms are now."""
+        near, ends, far = [], [], []
+        between = np.empty(6)
+        for number, (one, other) in enumerate(self.pairs):
+            away = mujoco.mj_geomDistance(self._model, data, one, other, DETECTED, between)
+            if away < DETECTED - 1e-12:
+                near.append(number)
+                far.append(away)
+                ends.append(between.copy())
+        points, distances = np.array(ends).reshape(-1, 2, 3), np.array(far)
+        normal = points[:, 1] - points[:, 0]
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = np.where(length < 1e-15, (1.0, 0.0, 0.0), normal / np.maximum(length, 1e-15))
+        # a point moves by v + ω × r of each degree of freedom, r from its tree's centre of mass
+        arms = points - data.subtree_com[self._roots[near]]
+        turn, move = data.cdof[:, :3].T, data.cdof[:, 3:].T
+        along = normal[:, None] @ move + np.cross(arms, normal[:, None]) @ turn
+        along = np.where(self._moves[near], along, 0.0)
+        parting = np.where(distances >= 0, 1.0, -1.0)[:, None] * (along[:, 1] - along[:, 0])
+        self._towards, self._room = -parting, 0.5 * np.maximum(distances - self._clearance, 0.0)
+
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.Constraint:
+        return mink.Constraint(self._towards, self._room / dt - self.away)
+
+
 class _Bounds(mink.Limit):
     """Every degree of freedom stays within `most` rad of the pose `around`."""
 
@@ -159,13 +212,7 @@ class _Solver:
         self._hold = mink.FrameTask(body, "body", PULL, TURN, lm_damping=0.01)
         self._fixed = list(still)
         self._still = mink.DofFreezingTask(model, dof_indices=self._fixed)
-        self._avoid = mink.CollisionAvoidanceLimit(
-            model,
-            [(list(group), list(others)) for group, others in apart],
-            gain=0.5,
-            minimum_distance_from_collisions=options.clearance,
-            collision_detection_distance=DETECTED,
-        )
+        self._avoid = _Apart(model, apart, options.clearance)
         self._limits = [mink.ConfigurationLimit(model, gain=1.0), self._avoid]
         #: (nv,) what a turn of each degree of freedom costs in eq. 13
         self._cost = np.ones(model.nv)
@@ -175,11 +222,8 @@ class _Solver:
             self._cost = np.sqrt(np.maximum(moved, least) / least)
         #: what draws to the poses of one step, by their order and weights: making it takes as long as its use
         self._drawing: dict[tuple[int, float, float], mink.PostureTask] = {}
-        self._hinges = [
-            (int(model.jnt_qposadr[joint]), *model.jnt_range[joint])
-            for joint in range(model.njnt)
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE and model.jnt_limited[joint]
-        ]
+        hinges = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited == 1)
+        self._hinges, self._ranges = model.jnt_qposadr[hinges], model.jnt_range[hinges].T
 
     @property
     def qpos(self) -> np.ndarray:
@@ -223,7 +267,7 @@ class _Solver:
         data = self._configuration.data
         return any(
             mujoco.mj_geomDistance(self._model, data, a, b, 0.1, np.zeros(6)) < 0.0
-            for a, b in self._avoid.geom_id_pairs
+            for a, b in self._avoid.pairs
         )
 
     def advance(self, target: mink.SE3, dt: float) -> None:
@@ -250,6 +294,7 @@ class _Solver:
     ) -> float:
         """One quadratic program; returns the greatest turn, rad."""
         self._hold.set_target(target)
+        self._avoid.measure(self._configuration.data)
         limits = [*self._limits, *around, _Bounds(self._model, self.qpos, STRIDE)]
         drawn = [*self._postures(near, LESS), self._hold]
         step = np.zeros(self._model.nv)
@@ -259,7 +304,7 @@ class _Solver:
             (drawn, [self._still], AWAY),
             (drawn, [self._still], 0.0),
         ):
-            self._avoid.bound_relaxation = -away
+            self._avoid.away = away
             with contextlib.suppress(mink.NoSolutionFound):
                 step = mink.solve_ik(
                     self._configuration,
@@ -277,8 +322,7 @@ class _Solver:
     def _inside(self, qpos: np.ndarray) -> np.ndarray:
         """``qpos`` (nq,) with hinges beyond their ranges at the ends of these."""
         result = qpos.copy()
-        for address, low, high in self._hinges:
-            result[address] = np.clip(result[address], low, high)
+        result[self._hinges] = np.clip(result[self._hinges], *self._ranges)
         return result
 
     def _postures(

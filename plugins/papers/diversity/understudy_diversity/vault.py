@@ -7,8 +7,9 @@ after a somersault. SI units; x is towards the bar at 0, z up; pitch is 0 uprigh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -234,6 +235,10 @@ _BODY, _SKIN, _ARM = (0, 114, 178), (222, 165, 120), (86, 180, 233)
 _LOOKS = ((_BODY, 0.1), (_SKIN, 0.11), ((40, 60, 90), 0.085), ((40, 60, 90), 0.07),
           (_ARM, 0.055), (_SKIN, 0.045))  # fmt: skip
 
+#: m: left, right, low and high.
+_Within = tuple[float, float, float, float]
+_Inside = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
 
 def _picture(limbs: np.ndarray, bar: float, width: int, height: int) -> np.ndarray:
     """(height, width, 3) uint8: the limbs (6, 2, 2) from the side, the bar and the mat."""
@@ -243,20 +248,43 @@ def _picture(limbs: np.ndarray, bar: float, width: int, height: int) -> np.ndarr
     frame = np.empty((height, width, 3), np.float32)
     frame[:] = _PAPER
 
-    def paint(inside: np.ndarray, colour: Sequence[int]) -> None:
-        cover = np.clip(inside * metre + 0.5, 0.0, 1.0)[..., None]
-        frame[:] += cover * (np.array(colour, np.float32) - frame)
+    def paint(within: _Within, inside: _Inside, colour: Sequence[int]) -> None:
+        """`inside` (h, w) m, what is negative outside, at pixels x (w,) and z (h, 1); beyond `within` nothing is covered."""
+        left, right, low, high = within
+        columns = slice(*np.searchsorted(x, (left - 1 / metre, right + 1 / metre)))
+        rows = slice(*np.searchsorted(-z[:, 0], (-high - 1 / metre, -low + 1 / metre)))
+        here = frame[rows, columns]
+        cover = np.clip(inside(x[columns], z[rows]) * metre + 0.5, 0.0, 1.0)[..., None]
+        here += cover * (np.array(colour, np.float32) - here)
 
-    paint(np.minimum(np.minimum(x - 0.12, 2.2 - x), np.minimum(z, MAT - z)), _CUSHION)
-    paint(0.012 - np.abs(z) + 0 * x, _FLOOR)
-    paint(np.minimum(0.012 - np.abs(x), np.minimum(z, bar - z)), _FLOOR)
-    paint(0.028 - np.hypot(x, z - bar), _BAR)
+    def mat(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.minimum(np.minimum(x - 0.12, 2.2 - x), np.minimum(z, MAT - z))
+
+    def post(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.minimum(0.012 - np.abs(x), np.minimum(z, bar - z))
+
+    paint((0.12, 2.2, 0.0, MAT), mat, _CUSHION)
+    paint((-np.inf, np.inf, -0.012, 0.012), lambda x, z: 0.012 - np.abs(z) + 0 * x, _FLOOR)
+    paint((-0.012, 0.012, 0.0, bar), post, _FLOOR)
+    round_it = (-0.028, 0.028, bar - 0.028, bar + 0.028)
+    paint(round_it, lambda x, z: 0.028 - np.hypot(x, z - bar), _BAR)
     for row in (2, 3, 0, 1, 4, 5):
-        (ax, az), (bx, bz) = limbs[row]
         colour, radius = _LOOKS[row]
-        if row == 1:  # the head is a ball at its end
-            ax, az, bx, bz = bx, bz, bx, bz
-        length = max((bx - ax) ** 2 + (bz - az) ** 2, 1e-9)
-        t = np.clip(((x - ax) * (bx - ax) + (z - az) * (bz - az)) / length, 0, 1)
-        paint(radius - np.hypot(x - ax - t * (bx - ax), z - az - t * (bz - az)), colour)
+        # the head is a ball at its end
+        begin, end = limbs[row, [1, 1]] if row == 1 else limbs[row]
+        (left, low), (right, high) = (
+            np.minimum(begin, end) - radius,
+            np.maximum(begin, end) + radius,
+        )
+        paint((left, right, low, high), partial(_limb, begin, end, radius), colour)
     return frame.round().astype(np.uint8)
+
+
+def _limb(
+    begin: np.ndarray, end: np.ndarray, radius: float, x: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """(h, w) m, how deep in a limb between those points (2,) the pixels x (w,) and z (h, 1) are."""
+    (ax, az), (bx, bz) = begin, end
+    length = max((bx - ax) ** 2 + (bz - az) ** 2, 1e-9)
+    t = np.clip(((x - ax) * (bx - ax) + (z - az) * (bz - az)) / length, 0, 1)
+    return radius - np.hypot(x - ax - t * (bx - ax), z - az - t * (bz - az))

@@ -128,7 +128,7 @@ class Led(Moves):
             self._place(pose)
             at = self.bones()
             mujoco.mj_collision(self._body, self._data)
-            near = sum(max(0.0, _APART - contact.dist) for contact in self._data.contact)
+            near = sum(np.maximum(0.0, _APART - self._data.contact.dist).tolist())
             return np.concatenate([at[0] - tip, _WEIGHT * (at[3] - elbow), 0.03 * (hinges - begin), [3.0 * near]])  # fmt: skip
 
         inner = np.clip(begin, self._low + 1e-3, self._high - 1e-3)

@@ -95,10 +95,7 @@ class ShirtScene(CutGarment):
 
     @cached_property
     def garment(self) -> Garment:
-        o = self.options
-        return t_shirt(Shirt(
-            edge=o.edge, neck=o.collar, width=o.width, height=o.height, entrance=o.entrance, end=o.end,
-        ))  # fmt: skip
+        return _cut(self.options)
 
     @property
     def substeps(self) -> int:
@@ -112,7 +109,7 @@ class ShirtScene(CutGarment):
     @cached_property
     def begins(self) -> np.ndarray:
         """(V, 3) m: around the neutral person."""
-        return self._drawn_over(neutral_pose(PersonScene(PersonScene.Options())).numpy())
+        return _around_neutral(type(self), self.options)
 
     def _drawn_over(self, pose: np.ndarray) -> np.ndarray:
         """(V, 3) m: around the person in that pose (22,) rad, drawn over it as little as front and back have to be."""
@@ -165,6 +162,24 @@ class ShirtScene(CutGarment):
 
 #: Whose hand each grip is, in the model's order.
 HOLDERS: tuple[Side, Side] = ("right", "left")
+
+
+# both take a good part of a second, and every scene of such a shirt asks for them
+@lru_cache(maxsize=8)
+def _cut(o: ShirtScene.Options) -> Garment:
+    """Of such a shirt, not to be written to."""
+    return t_shirt(Shirt(
+        edge=o.edge, neck=o.collar, width=o.width, height=o.height, entrance=o.entrance, end=o.end,
+    ))  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _around_neutral(kind: type[ShirtScene], options: ShirtScene.Options) -> np.ndarray:
+    """:attr:`ShirtScene.begins` of such a shirt, not to be written to."""
+    pose = neutral_pose(PersonScene(PersonScene.Options())).numpy()
+    begins = kind(options)._drawn_over(pose)
+    begins.setflags(write=False)
+    return begins
 
 
 # takes seconds, and training, evaluation and each stage of a sequence ask for it
@@ -291,7 +306,7 @@ class Moves:
             self._place(pose)
             tip = self._data.xpos[hand] + self._data.xmat[hand].reshape(3, 3) @ np.array(TIP)
             mujoco.mj_collision(self._body, self._data)
-            near = sum(max(0.0, _APART - contact.dist) for contact in self._data.contact)
+            near = sum(np.maximum(0.0, _APART - self._data.contact.dist).tolist())
             return np.concatenate(
                 [tip - target, 0.01 * (q - self._neutral[mine]), [_WEIGHT * near]]
             )
