@@ -528,6 +528,13 @@ def test_a_mesh_that_mujoco_does_not_read_says_what_to_do(tmp_path: Path) -> Non
         load(tmp_path / "robot.urdf")
 
 
+def test_a_text_of_a_mesh_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "m.stl").write_text("solid m\n" + "facet normal 0 0 1\n" * 20)
+    (tmp_path / "robot.urdf").write_text(URDF.format(mesh="m.stl"))
+    with pytest.raises(FileError, match=r"'m\.stl'.*; export the mesh as a binary STL or an OBJ"):
+        load(tmp_path / "robot.urdf")
+
+
 def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "m.obj").write_text(TETRAHEDRON)

@@ -80,6 +80,106 @@ def test_radians_unit_rate_and_axis(tmp_path: Path) -> None:
         ReadOptions(rate=0.0)
 
 
+#: What programs write in place of what the files here have, right of an arrow: in the AMC above, in the ASF below.
+MOTIONS = r"""
+:FULLY-SPECIFIED\r\n:DEGREES\r\n ->
+#!OML:ASF small.ASF\r\n:FULLY-SPECIFIED\r\n:DEGREES\r\n ->
+#!OML:ASF -> // OML:ASF
+:DEGREES -> : degrees # of angles
+:DEGREES -> :DEGREES\r\n:SAMPLES-PER-SECOND 120\r\n:FRAME-RANGE 1 6
+lshin 30 -> lshin 30 # the knee
+lshin 30 -> # the knee\r\nlshin 30
+lshin 30 -> lshin 30\r\nrhipjoint
+12.5 -> 12,5
+lthigh -> LThigh
+root -> ROOT
+rthigh -3 17\r\nlthigh 12.5 3 -7e-001 -> lthigh 12.5 3 -7e-001\r\nrthigh -3 17
+"""
+SKELETONS = r"""
+angle deg -> angle degrees
+axis 10 20 30 XYZ -> axis 10 20 30
+axis 10 20 30 XYZ -> axis 10 20 30 X Y Z
+orientation 0 0 0 -> orientation 0 0 0 XYZ
+dof rx ry rz -> dof rx, ry, rz
+name lshin -> name "lshin"
+name lshin -> name LSHIN
+length 7 -> length 7,0
+direction 0 -1 0\n     length 7 -> direction 0 -2 0\n     length 7
+root lthigh rhipjoint -> root lthigh, rhipjoint
+    root lthigh ->     ROOT lthigh
+# a comment -> // a comment
+"""
+
+
+def changed(text: str, line: str) -> str:
+    old, _, new = (part.encode().decode("unicode_escape") for part in line.partition(" ->"))
+    assert old in text
+    return text.replace(old, new.removeprefix(" "))
+
+
+def check_same(clip: Clip, expected: Clip) -> None:
+    assert [name.lower() for name in clip.joint_names] == list(expected.joint_names)
+    torch.testing.assert_close(clip.root_position, expected.root_position)
+    torch.testing.assert_close(clip.rotations, expected.rotations)
+    assert torch.equal(clip.times, expected.times)
+    assert clip.skeleton is not None
+    assert expected.skeleton is not None
+    np.testing.assert_allclose(clip.skeleton.offsets, expected.skeleton.offsets)
+
+
+@pytest.mark.parametrize("line", MOTIONS.strip().splitlines())
+def test_dialects_of_motions(tmp_path: Path, line: str) -> None:
+    path = write_amc(tmp_path)
+    expected = read(path)
+    path.write_text(changed(amc_text(), line), newline="")
+    assert AmcReader().recognises(path.read_bytes(), path)
+    check_same(read(path), expected)
+
+
+@pytest.mark.parametrize("line", SKELETONS.strip("\n").splitlines())
+def test_dialects_of_skeletons(tmp_path: Path, line: str) -> None:
+    path = write_amc(tmp_path)
+    expected = read(path)
+    (tmp_path / "small.asf").write_text(changed(ASF, line))
+    check_same(read(path), expected)
+
+
+def test_utf_16(tmp_path: Path) -> None:
+    path = write_amc(tmp_path)
+    expected = read(path)
+    path.write_text(amc_text(), encoding="utf-16")
+    (tmp_path / "small.asf").write_text(ASF, encoding="utf-16")
+    assert AmcReader().recognises(path.read_bytes(), path)
+    check_same(read(path), expected)
+
+
+@pytest.mark.parametrize("said", [":SAMPLES-PER-SECOND 60", ":FRAMERATE 60", ":FPS: 60"])
+def test_a_rate_in_the_header_counts(tmp_path: Path, said: str) -> None:
+    """It was taken for CMU's, silently."""
+    path = write_amc(tmp_path)
+    path.write_text(amc_text().replace(":DEGREES", f"{said}\n:DEGREES"))
+    assert read(path).frame_rate == pytest.approx(60.0)
+    assert read(path, rate=30.0).frame_rate == pytest.approx(30.0)
+    path.write_text(amc_text().replace(":DEGREES", ":SAMPLES-PER-SECOND 0\n:DEGREES"))
+    with pytest.raises(FileError, match="line 3: '0' is no number of frames per second"):
+        read(path)
+
+
+def test_bones_may_have_freedoms_to_move_that_they_do_not_use(tmp_path: Path) -> None:
+    path = write_amc(tmp_path)
+    expected = read(path)
+    (tmp_path / "small.asf").write_text(ASF.replace("dof rx\n", "dof tx ty tz rx l\n"))
+    path.write_text(amc_text().replace("lshin 30", "lshin 0 0 0 30 0"))
+    check_same(read(path), expected)
+    path.write_text(
+        amc_text()
+        .replace("lshin 30", "lshin 0 0.1 0 30 0", 1)
+        .replace("lshin 30", "lshin 0 0 0 30 0")
+    )
+    with pytest.raises(FileError, match="frame 0: bone 'lshin' moves against its parent"):
+        read(path)
+
+
 def test_which_skeleton(tmp_path: Path) -> None:
     path = write_amc(tmp_path)
     (tmp_path / "other.asf").write_text("damaged")
@@ -171,7 +271,7 @@ def test_a_last_frame_that_is_cut_off(tmp_path: Path) -> None:
         ("axis XYZ", "axis XXY", "line 10: 'XXY' is not an order of the axes"),
         ("name lshin", "name lthigh", "a bone's name must be one word that no other bone has"),
         ("direction 0 -1 0", "direction 0 -1", "'direction' needs 3 finite numbers"),
-        ("dof rx\n", "dof rx l\n", "'l' is not a freedom that is read"),
+        ("dof rx\n", "dof rx rw\n", "'rw' is not a freedom that is read"),
         ("dof rx\n", "dof rx rx\n", "a freedom is listed twice"),
         ("    lthigh lshin\n", "", "bone 'lshin' does not hang on the root"),
         ("    lthigh lshin\n", "    lthigh knee\n", "'knee' is not a bone of this skeleton"),

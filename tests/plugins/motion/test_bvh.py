@@ -402,6 +402,39 @@ Frames: 2 -> Frames:\n2
 Frames: 2\nFrame Time: 0.025 -> Frames:\n\n2\nFrame Time:\n0.025
 Frame Time: 0.025 -> Frame\nTime: 0.025
 Frames: 2 -> Frames\n2
+Frames: 2 -> Frames: 0
+Frames: 2 -> Frames: -1
+Frames: 2 -> Frames: +2
+Frames: 2 -> Frames: 2 frames
+0.025 -> 0.025 sec
+0.025 -> 0.025f
+0.025 -> 0.025;
+0.025 -> 0.025,
+0.025 -> 0,025 s
+0.025 -> 1.0 / 40.0
+0.025 -> 25000us
+0.025 -> 25 milliseconds
+0.025 -> 40 fps
+Frame Time: 0.025 -> Frame Time (s): 0.025
+Frame Time: 0.025 -> Frame Time [ms]: 25
+Frame Time: 0.025 -> Frame-Time: 0.025
+Frame Time: 0.025 -> Frames time: 0.025
+Frame Time: 0.025 -> Framerate: 40 fps
+Frame Time: 0.025 -> FPS=40.0 Hz
+OFFSET 0 60 0 -> OFFSET: 0 60 0
+OFFSET 0 60 0 -> OFFSET (0, 60, 0)
+OFFSET 0 60 0 -> OFFSET 0,60,0
+OFFSET 0 60 0 -> OFFSET 0;60,0;0;
+OFFSET 0 -> OFFSET: 0
+CHANNELS 3 -> CHANNELS: 3
+Zrotation -> "Zrotation"
+Zrotation -> Z-rotation
+Zrotation Xrotation Yrotation -> zAngle xAngle yAngle
+Xposition Yposition Zposition -> Xloc Yloc Zloc
+ROOT -> JOINT
+JOINT Head -> /* the head */ JOINT Head
+JOINT Head -> % the head\n  JOINT Head
+MOTION -> -- numbers\nMOTION
 """
 
 
@@ -438,6 +471,31 @@ def test_dialects(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     assert BvhReader().recognises(path.read_bytes()[:4096], path)
     assert_same(read(tmp_path, text), read(tmp_path, TEXT))
+
+
+def test_ends_may_have_channels(tmp_path: Path) -> None:
+    """They have columns, which are of no joint; places in them are the tip's."""
+    ends = TEXT.replace(
+        "OFFSET 0 -80 5", "OFFSET 0 -80 5\n      CHANNELS 3 Zrotation Xrotation Yrotation"
+    )
+    ends = ends.replace("10 20 30  40", "10 20 30 1 2 3 40").replace("30  50", "30 0 0 0 50")
+    assert_same(
+        read(tmp_path, ends.replace("-20 -30 50", "-20 -30 0 0 0 50")), read(tmp_path, TEXT)
+    )
+    placed = TEXT.replace(
+        "OFFSET 0 20 0", "OFFSET 0 0 0\n CHANNELS 3 Xposition Yposition Zposition"
+    )
+    placed = placed.replace("40\n", "40 0 20 0\n").replace("50\n", "50 0 20 0\n")
+    assert_same(read(tmp_path, placed), read(tmp_path, TEXT))
+
+
+def test_a_fraction_with_blanks_is_no_second_between_frames(tmp_path: Path) -> None:
+    clip = read(tmp_path, TEXT.replace("0.025", "1 / 40"))
+    assert clip.times.tolist() == pytest.approx([0.0, 0.025])
+    with pytest.raises(FileError, match="'Frame Time' must be seconds above 0 and up to 1"):
+        read(tmp_path, TEXT.replace("0.025", "1 / 0"))
+    with pytest.raises(FileError, match="'Frame Time' must be seconds above 0 and up to 1"):
+        read(tmp_path, TEXT.replace("0.025", "40"))  # a rate, where nothing says so
 
 
 def test_joints_of_the_same_name_get_a_number(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import gzip
 import lzma
 import os
 import pickle
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -93,6 +94,28 @@ def test_a_packed_file_says_so(
         with zipfile.ZipFile(path, "w") as archive:
             archive.write(clip, "walker.bvh")
     with pytest.raises(UnknownFormatError, match=f"packed by {name}. Unpack it"):
+        read_clip(path, registry)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"Kaydara FBX Binary  \0", "an FBX file, which is not read here. Export it as BVH"),
+        (b"; FBX 7.4.0 project file", "an FBX file, which is not read here. Export it as BVH"),
+        (b"glTF\2\0\0\0", "Export it as BVH"),
+        (b"PAR1\x15\0", "a Parquet file, which is not read here. Export it as CSV"),
+        (
+            b"PK\3\4\x14\0[Content_Types].xml",
+            "a spreadsheet, which is not read here. Export it as CSV",
+        ),
+    ],
+)
+def test_what_other_programs_can_export(
+    tmp_path: Path, registry: Registry, content: bytes, said: str
+) -> None:
+    path = tmp_path / "clip"
+    path.write_bytes(content)
+    with pytest.raises(UnknownFormatError, match=re.escape(said)):
         read_clip(path, registry)
 
 

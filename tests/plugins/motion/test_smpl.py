@@ -61,6 +61,48 @@ def test_a_world_with_y_up(tmp_path: Path) -> None:
     )
 
 
+def test_a_world_whose_axis_is_not_plain_is_asked_for(tmp_path: Path) -> None:
+    """A body that stands with y up was laid on its back, silently."""
+    arrays = smpl_arrays()
+    arrays["poses"][:, :3] = 0.0
+    arrays["trans"] = np.tile([0.1, 0.93, 0.3], (6, 1))
+    with pytest.raises(FileError, match=r"give motion\.up=y or z \(--up\)"):
+        read(tmp_path, arrays)
+    assert read(tmp_path, arrays, ReadOptions(up="y")).root_position[0, 2] == pytest.approx(0.93)
+    assert read(tmp_path, arrays, ReadOptions(up="z")).root_position[0, 1] == pytest.approx(0.93)
+    arrays["trans"][:, 1] = 0.1  # on the floor: it lies
+    assert read(tmp_path, arrays).root_position[0, 2] == pytest.approx(0.3)
+
+
+def test_poses_of_the_body_beside_its_root(tmp_path: Path) -> None:
+    arrays = smpl_arrays()
+    expected = read(tmp_path, arrays)
+    poses = arrays.pop("poses")
+    for root in ("root_orient", "global_orient"):
+        clip = read(tmp_path, {**arrays, "poses": poses[:, 3:], root: poses[:, :3]})
+        assert torch.equal(clip.rotations, expected.rotations)
+
+
+def test_a_batch_of_one_with_joints_apart(tmp_path: Path) -> None:
+    arrays = smpl_arrays()
+    expected = read(tmp_path, arrays)
+    poses = arrays["poses"].reshape(6, -1, 3)
+    for batch in (poses[None], poses[:, None]):
+        clip = read(tmp_path, {**arrays, "poses": batch})
+        assert torch.equal(clip.rotations, expected.rotations)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 2.0])
+def test_matrices_that_are_no_rotations(tmp_path: Path, factor: float) -> None:
+    """The first ended in a traceback, the others were made rotations, silently."""
+    matrices = np.tile(np.eye(3), (6, 24, 1, 1))
+    matrices[4, 3] *= factor
+    with pytest.raises(
+        FileError, match="frame 4: array 'poses' holds a matrix that is no rotation"
+    ):
+        read(tmp_path, {**smpl_arrays(), "poses": matrices})
+
+
 @pytest.mark.parametrize("joints", [22, 24, 52, 55])
 def test_every_body_of_the_family(tmp_path: Path, joints: int) -> None:
     clip = read(tmp_path, smpl_arrays(joints=joints))

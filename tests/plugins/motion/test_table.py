@@ -391,8 +391,12 @@ def test_columns_of_joints_are_never_a_robots(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["{}_q{}", "{} q{}", "{}/q{}", "{}_quat_{}", "{}_quat{}", "{}:q{}", "{}_Q{}"]
-)
+    "form",
+    [
+        "{}_q{}", "{} q{}", "{}/q{}", "{}_quat_{}", "{}_quat{}", "{}:q{}", "{}_Q{}", "{}.quat.{}", "{}_{}", "{}.{}",
+        "{}_rot_{}", "{}.rotation.{}", "{}.q_{}", "{}_quaternion_{}", "'{}.q{}'",
+    ],
+)  # fmt: skip
 def test_quaternions_as_people_name_them_are_no_angles(tmp_path: Path, form: str) -> None:
     """They were a robot's angles, silently."""
     names = [f"{joint}.q{part}" for joint in ("hips", "left knee") for part in "wxyz"]
@@ -402,11 +406,42 @@ def test_quaternions_as_people_name_them_are_no_angles(tmp_path: Path, form: str
     other = [form.format(*name.split(".q")) for name in names]
     text = "\n".join(("# rate: 50", ",".join(("root_x,root_y,root_z", *other)), numbers, numbers))
     clip = read_csv(tmp_path, text)
+    # The root's own name is no hindrance.
+    rooted = text.replace("root_x,root_y,root_z", "root:px,root:py,root:pz").replace("hips", "root")
+    rooted = read_csv(tmp_path, rooted)
+    assert rooted.joint_names == ("root", "left knee")
+    assert torch.equal(rooted.rotations, expected.rotations)
+    read_csv(tmp_path, text)
     path = tmp_path / "clip.csv"
     assert not AnglesReader().recognises(path.read_bytes(), path)
     assert CsvReader().recognises(path.read_bytes(), path)
     assert clip.joint_names == expected.joint_names == ("hips", "left knee")
     assert torch.equal(clip.rotations, expected.rotations)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Unnamed: 0.1", "No.", "frame_id", "Frame #", "sample", "step", "row_number", "frame_index"],
+)
+def test_columns_of_row_numbers(tmp_path: Path, name: str) -> None:
+    numbered = table(f"{name},{HEAD}", *(f"{n},{row}" for n, row in enumerate(ROWS)))
+    assert torch.equal(
+        read_csv(tmp_path, numbered).rotations, read_csv(tmp_path, table(HEAD, *ROWS)).rotations
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("_cm", 0.01), ("_mm", 0.001), (" [in]", 0.0254), (" (ft)", 0.3048), ("_m", 1.0)],
+)
+def test_units_as_endings(tmp_path: Path, unit: str, metres: float) -> None:
+    text = table(HEAD, *ROWS)
+    names = [f"root.p{axis}" for axis in "xyz"]
+    other = text
+    for name in names:
+        other = other.replace(name, name + unit)
+    expected = metres * read_csv(tmp_path, text).root_position
+    torch.testing.assert_close(read_csv(tmp_path, other).root_position, expected)
 
 
 def test_a_frame_without_numbers_is_no_frame_only_where_times_say_so(tmp_path: Path) -> None:

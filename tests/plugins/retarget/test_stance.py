@@ -40,6 +40,14 @@ def along_bones(clip: Clip, limbs: tuple[str, ...], axis: np.ndarray, mirrored: 
         sign = -1.0 if mirrored and name.startswith("right") else 1.0
         turn = Rotation.align_vectors(bone, sign * axis)[0]
         fixed[joint] = turn * Rotation.from_rotvec(rng.uniform(-3, 3) * axis)
+    return with_frames(clip, fixed)
+
+
+def with_frames(clip: Clip, fixed: list[Rotation]) -> Clip:
+    """The same motion with each joint's frame turned by `fixed`, in that frame."""
+    skeleton = clip.skeleton
+    assert skeleton is not None
+    names = skeleton.joint_names
     turned, offsets, tips = [], skeleton.offsets.copy(), dict(skeleton.tips)
     for joint, parent in enumerate(skeleton.parents):
         above = fixed[parent] if parent >= 0 else Rotation.identity()
@@ -85,6 +93,29 @@ def test_frames_along_the_bones_make_no_difference(
     assert as_usual.no_stance == ()
     assert set(report.no_stance) >= set(limbs)
     angles = apart(plain, found)
+    assert max(angles.values()) < 15.0, angles
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "turn_left"])
+@pytest.mark.parametrize("what", ["all", "all but root", "root", "chest", "neck", "root backwards"])
+def test_frames_of_the_trunk_make_no_difference(name: str, what: str) -> None:
+    """Its bones were taken as the zero pose had them: heads and shoulders came out turned by up to 180 degrees."""
+    humanoid = load_character("humanoid", REGISTRY)
+    plain = library.find(name, REGISTRY)
+    clip = humanoid.clip(humanoid.qpos(plain), plain.times, name=name, loop=plain.loop)
+    pitched, back = Rotation.from_euler("y", 1.7), Rotation.from_euler("z", np.pi)
+    fixed = [Rotation.identity()] * len(clip.joint_names)
+    for joint, own in enumerate(clip.joint_names):
+        if what.startswith("all") and (joint or what == "all"):
+            fixed[joint] = Rotation.from_quat(np.random.default_rng(7 + joint).normal(size=4))
+        elif own == what.split()[0] or (joint == 0 and what.startswith("root")):
+            fixed[joint] = back if what == "root backwards" else pitched
+    assert any(turn.magnitude() > 0 for turn in fixed)
+    turned = with_frames(clip, fixed)
+    torch.testing.assert_close(*(forward_kinematics(c)[0] for c in (clip, turned)))
+    found, report = retarget(turned, humanoid)
+    assert {"trunk", "head"} & set(report.no_stance)
+    angles = apart(retarget(clip, humanoid)[0], found)
     assert max(angles.values()) < 15.0, angles
 
 

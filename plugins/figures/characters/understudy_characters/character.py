@@ -227,7 +227,9 @@ class Character:
                 )
             hinge = types == {_HINGE}
             if hinge and model.qpos0[model.jnt_qposadr[ids]].any():
-                raise ConfigError(f"{place} a hinge whose reference angle (ref) is not 0.")
+                raise ConfigError(
+                    f"{place} a hinge whose reference angle (ref) is not 0. Let ref be 0, and turn the body so in the model."
+                )
             limited = np.array([bool(model.jnt_limited[j]) for j in ids])
             found.append(
                 Joint(

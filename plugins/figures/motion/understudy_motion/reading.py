@@ -69,6 +69,12 @@ PACKED = {
 }  # fmt: skip
 """How packed files begin."""
 
+OTHERS = {
+    b"Kaydara FBX": ("an FBX file", "BVH"), b"; FBX": ("an FBX file", "BVH"), b"glTF": ("a glTF file", "BVH"),
+    b"PAR1": ("a Parquet file", "CSV"), b"\xd0\xcf\x11\xe0": ("a spreadsheet", "CSV"),
+}  # fmt: skip
+"""What begins so, and what programs export in its place that is read here."""
+
 _FIXED = {
     "unit": ("unit", "their unit of length"),
     "up": ("up", "which axis is vertical"),
@@ -173,6 +179,13 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
     if head.startswith(b"\x93NUMPY"):
         raise UnknownFormatError(
             f"Clip {path}: one array without names. Save what it holds as a table or an NPZ (docs/motion.md)."
+        )
+    other = next((said for sign, said in OTHERS.items() if head.startswith(sign)), None)
+    if head.startswith(b"PK") and b"[Content_Types].xml" in head:
+        other = ("a spreadsheet", "CSV")
+    if other:
+        raise UnknownFormatError(
+            f"Clip {path}: {other[0]}, which is not read here. Export it as {other[1]}."
         )
     packed = next((name for sign, name in PACKED.items() if head.startswith(sign)), None)
     if packed and (packed != "zip" or path.suffix.lower() == ".zip"):  # NPZ are zip, too

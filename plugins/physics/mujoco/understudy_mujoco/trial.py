@@ -36,6 +36,7 @@ _OBJECTS = {
 
 _WAYS = {
     "no decoder found for mesh file": "export the mesh as STL or OBJ",
+    "stl_decoder": "export the mesh as a binary STL or an OBJ",
     "mass and inertia of moving bodies must be larger": "give it a mass, and an inertia that is not 0",
 }
 """What to do where MuJoCo's reason begins so."""

@@ -131,6 +131,8 @@ class Figure:
             if all(p in self.points for p in pair):
                 left = self.at_rest(pair[0]) - self.at_rest(pair[1])
                 break
-        left = left - (left @ up) * up
-        left /= np.linalg.norm(left)
+        level = left - (left @ up) * up
+        if np.linalg.norm(level) < 1e-6 * np.linalg.norm(left):  # a zero pose that tells nothing
+            level = np.eye(3)[(int(np.argmax(np.abs(up))) + 2) % 3]
+        left = level / np.linalg.norm(level)
         return np.column_stack((np.cross(left, up), left, up))

@@ -2,7 +2,8 @@
 
 Files of some programs put the x axis of every joint along its bone: with zero angles the figure is a
 line, and how a thigh or a foot is turned about its bone cannot be read from it. The motion still says
-it: on average a limb is turned as what it hangs on, and a leg that is straight stands.
+it: on average a limb is turned as what it hangs on, and a leg that is straight stands. So is the trunk:
+its frames, too, may be turned any way in the zero pose.
 """
 
 from __future__ import annotations
@@ -25,21 +26,27 @@ _FOOT = 0.25
 _FLAT = 0.1
 #: rad: no leg is turned about itself by so much on average.
 _TWISTED = 1.0
+#: rad: nor a chest against its pelvis, or a head against its chest, which bend further than that.
+_BENT = 1.3
 
 
 def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
     """The same motion with a zero pose that is a stance, and which limbs' zero pose was none
-    (``legs``, ``arms``, ``head``).
+    (``trunk``, ``legs``, ``arms``, ``head``).
 
     Every joint of every frame is where it was. Of limbs that were none, joints are turned in the zero
     pose as they are on average against their parent, legs straight down, forearms along the upper
     arm, and feet as they are flat on the floor.
     """
+    upright = _with_trunk(clip, parts)
+    trunk = ("trunk",) if upright is not clip else ()
+    clip = upright
     skeleton = need_skeleton(clip)
     figure, posed = Figure(skeleton, parts), _Posed(clip)
-    limbs = tuple(_no_stance(figure, posed))
+    # Of limbs on such a trunk a zero pose that could be a stance is one by chance.
+    limbs = ("legs", "arms", "head") if trunk else tuple(_no_stance(figure, posed))
     if not limbs:
-        return clip, ()
+        return clip, trunk
     again = _below(skeleton, figure, limbs)
     carriers = {joint: segment for segment, joint in reversed(figure.segments.items())}
     for joint, parent in enumerate(skeleton.parents):
@@ -59,7 +66,36 @@ def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
         if wanted is not None and (bone := posed.along(figure, segment)) is not None:
             average = average * Rotation.align_vectors(average.apply(bone, inverse=True), wanted)[0]
         posed.fixed[joint] = average
-    return _refixed(clip, skeleton, posed.fixed), limbs
+    return _refixed(clip, skeleton, posed.fixed), (*trunk, *limbs)
+
+
+def _with_trunk(clip: Clip, parts: Parts) -> Clip:
+    """`clip` with a zero pose whose trunk stands, if its own is not as the trunk is on average: the pelvis by where
+    the hips and, on average, the chest are in its frame, what is between it and the chest parallel to it."""
+    skeleton = need_skeleton(clip)
+    pelvis, chest = (parts[part][-1] if part in parts else 0 for part in ("pelvis", "chest"))
+    ends = {f"{side}_{part}" for side in SIDES for part in ("hip", "shoulder")}
+    if pelvis == chest or not ends <= set(parts):
+        return clip
+    posed = _Posed(clip)
+    if (posed.turns[pelvis].inv() * posed.turns[chest]).mean().magnitude() <= _BENT:
+        return clip
+    origins = posed.tracks[0].numpy()
+    at = {part: origins[:, parts[part][0]] for part in ends}
+    middle = [0.5 * (at[f"left_{part}"] + at[f"right_{part}"]) for part in ("shoulder", "hip")]
+
+    def within(track: np.ndarray) -> np.ndarray:
+        return posed.turns[pelvis].apply(track, inverse=True).mean(axis=0)
+
+    left, up = within(at["left_hip"] - at["right_hip"]), within(middle[0] - middle[1])
+    forward = np.cross(left, up)
+    if np.linalg.norm(forward) < 0.1 * np.linalg.norm(left) * np.linalg.norm(up):
+        return clip
+    axes = (forward, left, np.cross(forward, left))
+    own = Rotation.from_matrix(np.column_stack([axis / np.linalg.norm(axis) for axis in axes]))
+    for joint in {*path_up(skeleton, pelvis), *path_up(skeleton, chest)}:
+        posed.fixed[joint] = (posed.turns[joint].inv() * posed.turns[pelvis]).mean() * own
+    return _refixed(clip, skeleton, posed.fixed)
 
 
 class _Posed:
@@ -129,8 +165,16 @@ def _no_stance(figure: Figure, posed: _Posed) -> Iterator[str]:
     if not all(map(arm, SIDES)):
         yield "arms"
     head = along("chest", "head")
-    if head is not None and head[2] < 0.3:
+    if (head is not None and head[2] < 0.3) or _turned_head(figure, posed) > _BENT:
         yield "head"
+
+
+def _turned_head(figure: Figure, posed: _Posed) -> float:
+    """rad: by how much the head is turned against the chest, on average."""
+    head, chest = figure.segments.get("head"), figure.segments.get("chest")
+    if head is None or chest is None:
+        return 0.0
+    return float((posed.turns[chest].inv() * posed.turns[head]).mean().magnitude())
 
 
 def _twist(figure: Figure, posed: _Posed, side: str, bone: str) -> float:

@@ -9,13 +9,17 @@ own pose all frames are parallel. The root is read as a bone whose axis is its `
 clip's joint sits where its bone begins.
 
 Lengths are in inches divided by the ``length`` of the ASF's ``:units`` (0.45 in CMU's files), unless
-the unit is given. An AMC has no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
-unless one is given (some of CMU's clips are of 60 frames/s).
+the unit is given. Most AMC have no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
+unless one is given (some of CMU's clips are of 60 frames/s), or a line ``:SAMPLES-PER-SECOND`` says it.
+
+Remarks (``#``, ``//``), capitals, decimal commas and the bones' order in a frame do not matter. Bones may have the
+freedoms to shift and to grow (``tx``, ``l``) as long as they use none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -30,7 +34,7 @@ from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.limits import check_size, checked_skeleton, read_bytes
 from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import product_of_turns, to_world
-from understudy_motion.readers.text import LARGEST, decoded, is_number, shown
+from understudy_motion.readers.text import LARGEST, decoded, is_number, shown, without_comments
 from understudy_motion.reading import UNSAID, Axis, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
@@ -38,9 +42,18 @@ DEFAULT_RATE = 120.0
 """Frames per second of CMU's clips."""
 
 MAX_SKELETON_BYTES = 2**20
+UNIT = 0.01
+"""What a direction's length may differ from 1 by rounding."""
 
 ROTATIONS = ("rx", "ry", "rz")
 POSITIONS = ("tx", "ty", "tz")
+SHIFTS = (*POSITIONS, "l")
+"""Freedoms of a bone that change its place or length, which a clip's cannot."""
+SHIFTED = 1e-3
+"""m by which a bone may do so."""
+
+_RATE = re.compile(r":\s*(?:samples-per-second|frame[-_ ]?rate|fps)\s*[:=]?\s*(\S*)")
+"""A line of the header, in small letters."""
 
 
 @dataclass
@@ -83,16 +96,20 @@ class AmcReader(ClipReader):
     suffixes = (".amc",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
-        lines = (line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines())
-        return next((x for x in lines if x and not x.startswith(b"#")), b"").startswith(b":")
+        lines = [line for line in without_comments(decoded(head).splitlines()) if line]
+        if not lines:
+            return False
+        if _frame_number(lines[0]) is not None and len(lines) > 1:  # without a header
+            return lines[1].split()[0].lower() == "root"
+        return lines[0].startswith(":")
 
     def needs(self, path: Path, options: ReadOptions) -> Sequence[Path]:
         return () if options.skeleton else (_skeleton_of(path),)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        lines = decoded(content).splitlines()
-        start, degrees = _header(path, lines)
+        lines = [_plain(line) for line in decoded(content).splitlines()]
+        start, degrees, rate = _header(path, lines)
         figure_path = options.skeleton or _skeleton_of(path)
         figure = read_figure(figure_path)
         values = _values(path, lines, start, figure.bones, figure_path)
@@ -104,13 +121,15 @@ class AmcReader(ClipReader):
         for column, channel in enumerate(figure.bones[0].channels):
             if channel in POSITIONS:
                 position[:, POSITIONS.index(channel)] += values[0][:, column]
+        for bone, numbers in zip(figure.bones[1:], values[1:], strict=True):
+            _check_still(path, bone, metres * numbers)
         joints = [
             _local_rotation(bone, numbers * unit_angle, _axis(bone, figure.degrees), up)
             for bone, numbers in zip(figure.bones, values, strict=True)
         ]
         return Clip(
             name=path.stem,
-            times=torch.arange(len(position), dtype=torch.float64) / (options.rate or DEFAULT_RATE),
+            times=torch.arange(len(position), dtype=torch.float64) / (options.rate or rate),
             root_position=torch.from_numpy(to_world(metres * position, up)),
             rotations=torch.stack(joints, dim=1),
             joint_names=tuple(bone.name for bone in figure.bones),
@@ -157,7 +176,7 @@ class _FigureParser:
         section = None
         for number, line in enumerate(lines, start=1):
             self._line = number
-            words = line.split("#", 1)[0].split()
+            words = [word.strip('",') for word in _plain(line).split()]
             if not words:
                 continue
             if words[0].startswith(":"):
@@ -173,9 +192,9 @@ class _FigureParser:
             if not 1e-6 <= self._length_unit <= 1e6:
                 self._fail("the unit of length must be above 0")
         elif key == "angle":
-            if len(words) != 2 or words[1].lower() not in ("deg", "rad"):
+            if len(words) != 2 or words[1].lower()[:3] not in ("deg", "rad"):
                 self._fail("the unit of angle is 'deg' or 'rad'")
-            self._degrees = words[1].lower() == "deg"
+            self._degrees = words[1].lower().startswith("deg")
 
     def _root_line(self, words: list[str]) -> None:
         key = words[0].lower()
@@ -186,6 +205,8 @@ class _FigureParser:
         elif key == "position":
             self._position = self._numbers(words, 3)
         elif key == "orientation":
+            if len(words) == 5:
+                self._root.axis_order = self._axis_order(words.pop())
             self._root.axis = self._numbers(words, 3)
 
     def _bone_line(self, words: list[str]) -> None:
@@ -199,23 +220,30 @@ class _FigureParser:
         elif bone is None:
             self._fail("'begin' is expected")
         elif key == "name":
-            if len(words) != 2 or words[1] in self._bones:
+            if len(words) != 2 or self._known(words[1]) in self._bones:
                 self._fail("a bone's name must be one word that no other bone has")
             bone.name = words[1]
             self._bones[bone.name] = bone
         elif key == "direction":
             bone.direction = self._numbers(words, 3)
+            size = float(np.linalg.norm(bone.direction))
+            if (
+                abs(size - 1.0) > UNIT and size > 0.0
+            ):  # not rounding: its length alone says how long it is
+                bone.direction = tuple(part / size for part in bone.direction)
         elif key == "length":
             bone.length = self._numbers(words, 1)[0]
         elif key == "axis":
-            bone.axis_order = self._axis_order(words[-1])
-            bone.axis = self._numbers(words[:-1], 3)
+            order = "".join(words[4:]) or "xyz"
+            bone.axis_order = self._axis_order(order)
+            bone.axis = self._numbers(words[:4], 3)
         elif key == "dof":
-            bone.channels = self._channels(words, ROTATIONS)
+            bone.channels = self._channels(words, (*ROTATIONS, *SHIFTS))
 
     def _hierarchy_line(self, words: list[str]) -> None:
         if words[0].lower() in ("begin", "end") and len(words) == 1:
             return
+        words = [self._known(name) for name in words]
         parent, *children = words
         for name in words:
             if name not in self._bones:
@@ -240,6 +268,10 @@ class _FigureParser:
         bones = [self._bones[name] for name in names]
         return Figure(bones, parents, self._position, self._length_unit, self._degrees)
 
+    def _known(self, name: str) -> str:
+        """The bone that is called so, capitals aside if no other is; else `name` itself."""
+        return name if name in self._bones else _by_capitals(self._bones).get(name.lower(), name)
+
     def _numbers(self, words: list[str], count: int) -> tuple[float, ...]:
         if len(words) != count + 1 or not all(map(is_number, words[1:])):
             self._fail(f"'{words[0]}' needs {count} finite {'number' if count == 1 else 'numbers'}")
@@ -261,6 +293,31 @@ class _FigureParser:
 
     def _fail(self, problem: str) -> NoReturn:
         raise FileError(f"Skeleton {self._path}: line {self._line}: {problem}.")
+
+
+def _plain(line: str) -> str:
+    """`line` without a remark at its end, with points for decimal commas."""
+    said = re.sub(r"(^|\s)(#|//).*", "", line) if "#" in line or "/" in line else line
+    return re.sub(r"(?<=[0-9]),(?=[0-9])", ".", said) if "," in said else said
+
+
+def _by_capitals(names: Iterable[str]) -> dict[str, str]:
+    """Of small letters the name that is alone in having them."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(name.lower(), []).append(name)
+    return {lower: alike[0] for lower, alike in found.items() if len(alike) == 1}
+
+
+def _check_still(path: Path, bone: Bone, values: np.ndarray) -> None:
+    """Refuse a bone that is shifted or grows, by `values` (F, channels) in m."""
+    columns = [column for column, channel in enumerate(bone.channels) if channel in SHIFTS]
+    if (np.abs(values[:, columns]) > SHIFTED).any():
+        frame = int((np.abs(values[:, columns]) > SHIFTED).any(axis=1).argmax())
+        raise FileError(
+            f"Clip {path}: frame {frame}: bone '{bone.name}' moves against its parent, by more than 1 mm; only the "
+            "root may, so export the motion with bones of fixed length."
+        )
 
 
 def _skeleton_of(path: Path) -> Path:
@@ -286,19 +343,25 @@ def _skeleton_of(path: Path) -> Path:
     )
 
 
-def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool]:
-    """The index of the first frame's line, and whether angles are in degrees."""
-    degrees = True
+def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool, float]:
+    """The index of the first frame's line, whether angles are in degrees, and the frames per second."""
+    degrees, rate = True, DEFAULT_RATE
     for index, line in enumerate(lines):
         word = line.strip().lower()
         if _frame_number(word) is not None:
-            return index, degrees
+            return index, degrees, rate
         if word in (":units", ":root", ":bonedata", ":hierarchy"):
             raise FileError(
                 f"Clip {path}: is a skeleton (ASF) without a motion; give the AMC that belongs to it."
             )
-        if word in (":degrees", ":radians"):
-            degrees = word == ":degrees"
+        if (key := word.replace(" ", "")) in (":degrees", ":radians"):
+            degrees = key == ":degrees"
+        elif said := _RATE.match(word):
+            if not is_number(said[1]) or not 0.0 < float(said[1]) <= 1e6:
+                raise FileError(
+                    f"Clip {path}: line {index + 1}: {shown(said[1])} is no number of frames per second."
+                )
+            rate = float(said[1])
         elif word and not word.startswith(("#", ":")):
             raise FileError(
                 f"Clip {path}: line {index + 1}: {shown(line.strip())} is no AMC header."
@@ -317,6 +380,15 @@ def _values(
     """Of each bone the values (F, channels); all frames must list the bones as the first does."""
     rows = [line for line in lines[start:] if line.strip()]
     by_name = {bone.name: bone for bone in bones if bone.channels}
+    known = _by_capitals(by_name)
+    still = {bone.name.lower() for bone in bones if not bone.channels}
+    end = next(
+        (i for i, row in enumerate(rows[1:], 1) if _frame_number(row) is not None), len(rows)
+    )
+    if any(row.strip().lower() in still for row in rows[:end]):  # named, and without values
+        rows = [row for row in rows if row.strip().lower() not in still]
+    if any((name := row.split()[0]) not in by_name and name.lower() in known for row in rows[:end]):
+        rows = [_renamed(row, by_name, known) for row in rows]
     listed: list[str] = []
     for row in rows[1:]:
         if _frame_number(row) is not None:
@@ -325,25 +397,54 @@ def _values(
         if name not in by_name or name in listed:
             raise FileError(
                 f"Clip {path}: {shown(name)} in its first frame is not one of the moving bones of "
-                f"{figure_path}, or is listed twice."
+                f"{figure_path}, or is listed twice. Give the ASF that belongs to it: motion.skeleton=PATH (--skeleton)."
             )
         listed.append(name)
     if missing := next((name for name in by_name if name not in listed), None):
         raise FileError(
-            f"Clip {path}: its first frame has no '{missing}', which is a moving bone of {figure_path}."
+            f"Clip {path}: its first frame has no '{missing}', which is a moving bone of {figure_path}. "
+            "Give the ASF that belongs to it: motion.skeleton=PATH (--skeleton)."
         )
     height = 1 + len(listed)
+    ordered: list[str] | None = None
     check_size(path, len(rows) // height, [bone.name for bone in bones])
     numbers = [_frame_number(row) for row in rows[::height]]
     counted = numbers == list(range(int(rows[0]), int(rows[0]) + len(numbers)))
     whole = counted and len(rows) % height == 0
     found: dict[str, np.ndarray] = {}
     for offset, name in enumerate(listed, start=1):
-        values = _bone_values(rows[offset::height], name, len(by_name[name].channels))
+        count = len(by_name[name].channels)
+        values = _bone_values((ordered or rows)[offset::height], name, count)
+        if values is None and whole and ordered is None:
+            ordered = _in_order(rows, listed)
+            values = _bone_values(ordered[offset::height], name, count)
         if not whole or values is None:
             raise FileError(f"Clip {path}: {_fault(lines, start, height, listed, by_name)}.")
         found[name] = values
     return [found.get(bone.name, np.empty((len(rows) // height, 0))) for bone in bones]
+
+
+def _renamed(row: str, by_name: Mapping[str, Bone], known: Mapping[str, str]) -> str:
+    """`row` with its bone's name as the skeleton writes it."""
+    name, *rest = row.split()
+    return " ".join((name if name in by_name else known.get(name.lower(), name), *rest))
+
+
+def _in_order(rows: list[str], listed: Sequence[str]) -> list[str]:
+    """`rows` with the bones of each frame in the order `listed`; as they are where a frame has others."""
+    height = 1 + len(listed)
+    first = [row.split()[0] for row in rows[1:height]]
+    ordered = list(rows)
+    place = {name: at for at, name in enumerate(first)}
+    for start in range(0, len(rows) - height + 1, height):
+        names = [row.split()[0] for row in rows[start + 1 : start + height]]
+        if names == first:
+            continue
+        if set(names) != set(first):
+            return rows
+        for name, row in zip(names, rows[start + 1 : start + height], strict=True):
+            ordered[start + 1 + place[name]] = row
+    return ordered
 
 
 def _bone_values(rows: Sequence[str], name: str, count: int) -> np.ndarray | None:

@@ -3,7 +3,8 @@
 Two are read. *Without a header*, as mjlab, BeyondMimic and Unitree's retargeted LAFAN1 have it: the
 root's position (m), its quaternion (xyzw; or, as MuJoCo's ``qpos``, wxyz, if only so the root is
 upright), then the angles (rad) in the order of the robot's model; commas, semicolons or blanks stand
-between; a row of names may stand above, and a column of times (s) or of frames' numbers before. *ProtoMotions'*: columns ``Frame``, ``root_translateX`` … (cm), ``root_rotateX`` … (degrees,
+between; a row of names may stand above, in a remark too, and a column of times (s) or of frames' numbers before. Names
+of all seven root's columns say their order, and names may end with a unit (``knee [deg]``, ``time_ms``). *ProtoMotions'*: columns ``Frame``, ``root_translateX`` … (cm), ``root_rotateX`` … (degrees,
 extrinsic about x, y, z), ``NAME_dof`` (degrees). z is up. Frames come 30 a second unless told otherwise,
 which is what those programs take them to do.
 
@@ -32,6 +33,7 @@ from understudy_motion.readers.columns import (
     plain_name,
     rate_of,
     said_of,
+    scale_of,
     scale_of_unit,
     units_in,
 )
@@ -46,6 +48,14 @@ RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
 _TURNS, _FAR = 4.0 * np.pi, 50.0
 """rad and m beyond which the unit is another."""
+_ROOT = re.compile(
+    r"(?:(?:floating[\W_]*)?(?:root|base|pelvis|free(?:joint)?|global))?[\W_]*"
+    r"(?:(?:pos(?:ition)?|trans(?:lation)?|p|t)?[\W_]*([xyz])|(?:q|quat(?:ernion)?|rot(?:ation)?|ori(?:entation)?)[\W_]*([wxyz]))",
+    re.IGNORECASE,
+)
+"""Names of the root's columns."""
+_UNIT = re.compile(r"(.*?)\s*(?:[\[(]\s*([\w°]*)\s*[\])]|_(deg|rad|cm|mm))", re.IGNORECASE)
+"""A name with a unit."""
 _UPRIGHT = 0.5
 """Least z of a root's own up, on average, to be called upright."""
 
@@ -68,7 +78,9 @@ class AnglesReader(ClipReader):
         whole = "root.px" in plain and any(word.endswith(".qw") for word in plain)
         if whole or names_joints(words):  # of named joints' rotations: has its own reader
             return False
-        if _names(lines):
+        order = None
+        if _names(lines) or (len(lines) > 1 and _counts(words)):
+            order = _root_columns(words)
             words = _words(lines[1], _delimiter(lines[0]))
             if units_in(words) and len(lines) > 2:  # blanks at its ends do not matter here
                 words = _words(lines[2], _delimiter(lines[0]))
@@ -77,6 +89,8 @@ class AnglesReader(ClipReader):
         if len(words) < 8 or not all(map(is_number, words)):
             return False
         numbers = np.array([float(word) for word in words])
+        if order and max(order) < len(numbers):
+            return _unit(numbers[order[3:]])
         return _unit(numbers[3:7]) or (len(words) > 8 and _unit(numbers[4:8]))
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
@@ -88,28 +102,40 @@ class AnglesReader(ClipReader):
         lines = [line.rstrip(delimiter) for line in lines]
         words = _words(lines[at], delimiter)
         degrees = [word.lower() for word in words[:7]] == _PROTOMOTIONS
+        counted = _counts(words) and any(lines[at + 1 :])
+        above = None if degrees else _of_remark(raw[:at], len(words))
         named = degrees or _names([lines[at], ""])
-        body = lines[at + named :]
+        body = lines[at + (named or counted) :]
         scales = np.ones(len(words))
+        if named and not degrees:
+            scales = np.array([_scale(word) for word in words])
+            words = [_UNIT.sub(r"\1", word) if _UNIT.fullmatch(word) else word for word in words]
         first, cells = _row_below(raw[at + named :], delimiter) if named else (0, [])
         cells += [""] * (len(words) - len(cells))
         if not degrees and len(cells) == len(words) and (units := units_in(cells)):
             scales = np.array([scale_of_unit(unit) for unit in units])
             body[first] = ""
+        if above is not None:  # the names of np.savetxt
+            scales, named = np.array([_scale(word) for word in above]), True
+            words = [_UNIT.sub(r"\1", word) if _UNIT.fullmatch(word) else word for word in above]
         if delimiter != ",":  # which are decimal then
             body = [line.replace(",", ".") for line in body]
         check_size(path, sum(1 for line in body if line), words)
         timed_body = _with_times(body, delimiter)
         if timed_body is not body:
             body, scales[0] = timed_body, 1.0
-        rows = number_rows(path, body, at + named + 1, len(words), delimiter)
+        rows = number_rows(path, body, len(lines) - len(body) + 1, len(words), delimiter)
         rows = rows * scales
         said = dict(filter(None, map(said_of, raw[:at])))
         rate = rate_of(path, said["rate"]) if "rate" in said else RATE
         timed = not degrees and _timed(rows)
         if timed:  # by a column of times, s, or of frames' numbers
-            rate = _rate(rows[:, 0], rate)
+            rate = options.rate or _rate(path, rows[:, 0], rate)
             rows, words = rows[:, 1:], words[1:]
+        order = _root_columns(words) if named and not degrees else None
+        if order:
+            rest = [n for n in range(len(words)) if n not in order]
+            rows, words = rows[:, order + rest], [words[n] for n in order + rest]
         names = [re.sub("_(dof|joint)$", "", word) for word in words[7:]] if named else [
             str(n + 1) for n in range(len(words) - 7)
         ]  # fmt: skip
@@ -117,7 +143,10 @@ class AnglesReader(ClipReader):
         if len(set(joints)) != len(joints):
             raise FileError(f"Clip {path}: two of its columns have the same name.")
         unit = options.unit and metres_of(options.unit)
-        position, turn, angles = (_protomotions if degrees else _plain)(path, rows, unit)
+        if degrees:
+            position, turn, angles = _protomotions(path, rows, unit)
+        else:
+            position, turn, angles = _plain(path, rows, unit, order is not None)
         axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
         hinges = rotations.from_axis_angle(axis, torch.from_numpy(angles))
         return Clip(
@@ -135,6 +164,38 @@ def _names(lines: list[str]) -> bool:
     """Whether the first of `lines` names columns."""
     words = _words(lines[0], _delimiter(lines[0]))
     return len(lines) > 1 and len(words) > 7 and not any(map(is_number, words))
+
+
+def _counts(words: list[str]) -> bool:
+    """Whether `words` are the numbers of columns, as pandas writes them above a table without names."""
+    numbers = words[1:] if words[0] == "" else words
+    return len(numbers) > 7 and numbers == [str(n) for n in range(len(numbers))]
+
+
+def _of_remark(above: Sequence[str], count: int) -> list[str] | None:
+    """The names of `count` columns in the last remark `above` the numbers, if the root's are among them."""
+    line = next((line.strip().lstrip("#% ") for line in reversed(above) if line.strip()), "")
+    words = _words(line, _delimiter(line))
+    return words if len(words) == count and _root_columns(words) else None
+
+
+def _root_columns(words: Sequence[str]) -> list[int] | None:
+    """Where x, y, z and the quaternion's x, y, z, w are among columns of these names; None if these do not say it."""
+    found: dict[str, list[int]] = {}
+    for n, word in enumerate(words):
+        if known := _ROOT.fullmatch(_UNIT.sub(r"\1", word) if _UNIT.fullmatch(word) else word):
+            found.setdefault((known[1] or f"q{known[2]}").lower(), []).append(n)
+    parts = [found.get(part, []) for part in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    return [part[0] for part in parts] if all(len(part) == 1 for part in parts) else None
+
+
+def _scale(word: str) -> float:
+    """m, rad or s in the unit that the name of a column ends with, 1 if with none."""
+    if plain_name(word) == "time":
+        return scale_of(word)
+    named = _UNIT.fullmatch(word)
+    units = units_in([named[2] or named[3] or ""]) if named else None
+    return scale_of_unit(units[0]) if units else 1.0
 
 
 def _unit(quaternion: np.ndarray) -> bool:
@@ -158,11 +219,16 @@ def _unit_one_further(rows: np.ndarray) -> bool:
     return all(map(_unit, rows[:, 4:8])) and not all(map(_unit, rows[:, 3:7]))
 
 
-def _rate(times: np.ndarray, unsaid: float) -> float:
+def _rate(path: Path, times: np.ndarray, unsaid: float) -> float:
     """Frames per second of even `times` (F,), s, which may be rounded; `unsaid` where they are frames' numbers."""
     steps = np.diff(times)
     if (steps == 1.0).all():
         return unsaid
+    if steps.mean() > 1.0:
+        raise FileError(
+            f"Clip {path}: the times in its first column are {steps.mean():.4g} s apart; write them in seconds, or "
+            "give motion.rate (--source-rate)."
+        )
     rate = float(1.0 / steps.mean())
     whole = round(rate)  # if that is within how the times are rounded
     near = whole and abs(1.0 / whole - steps.mean()) * len(steps) <= np.ptp(steps)
@@ -214,13 +280,15 @@ def _delimiter(line: str) -> str | None:
 def _words(line: str, delimiter: str | None) -> list[str]:
     """Of a `line`, with decimal commas, where others stand between its numbers, as points."""
     words = line.strip().rstrip(delimiter).split(delimiter)
-    return [word.strip().strip('"').replace(",", ".") for word in words]
+    plain = [word.strip().strip('"').replace(",", ".") for word in words]
+    return [w[1:-1] if len(w) > 2 and w[0] == w[-1] == "'" else w for w in plain]
 
 
 def _plain(
-    path: Path, rows: np.ndarray, unit: float | None
+    path: Path, rows: np.ndarray, unit: float | None, said: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position (F, 3) m, rotation (F, 4) and angles (F, H) rad of a table without a header."""
+    """Position (F, 3) m, rotation (F, 4) and angles (F, H) rad of a table whose quaternion is xyzw if its header has
+    `said` so, else as it is upright."""
     norms = np.linalg.norm(rows[:, 3:7], axis=1)
     if rows.shape[1] > 8 and len(rows) > 1 and _unit_one_further(rows):
         steps = np.diff(rows[:, 0])
@@ -243,7 +311,7 @@ def _plain(
     if unit is None and len(rows) and (high := float(np.median(np.abs(rows[:, 2])))) > _FAR:
         raise FileError(
             f"Clip {path}: its root is {high:.0f} m from the floor; write it in metres, or give motion.unit "
-            "(--unit), as mm."
+            f"(--unit), as {'cm' if high < 300.0 else 'mm'}."
         )
     last, first = rows[:, [6, 3, 4, 5]], rows[:, 3:7]  # what is read as wxyz
 
@@ -251,7 +319,7 @@ def _plain(
         up = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, 2, 2]
         return bool(up.mean() > _UPRIGHT)
 
-    scalar_first = len(rows) > 0 and not upright(last) and upright(first)
+    scalar_first = not said and len(rows) > 0 and not upright(last) and upright(first)
     return rows[:, :3] * (unit or 1.0), first.copy() if scalar_first else last, rows[:, 7:]
 
 

@@ -2,7 +2,7 @@
 
 The format as described by J. Lander, "Working with Motion Capture File Formats", Game Developer,
 January 1998: a joint's rotation is the product of its rotation channels in the order listed, the
-last applied first. An End Site is the tip of the joint that it is in. With all angles zero all frames
+last applied first. An End Site is the tip of the joint that it is in; it may have channels, which turn nothing. With all angles zero all frames
 are parallel. Of joints with the same name the later ones get a number.
 
 Position channels replace the joint's OFFSET, so constant ones are its bone. Where they would make the
@@ -26,7 +26,6 @@ Files with y up are taken to face z, as is the custom; see
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -76,8 +75,8 @@ COLLAPSED = 0.1
 CHANNELS = {
     name: (kind, k)
     for kind, words in {
-        "position": ("position", "pos", "translation", "translate", "t"),
-        "rotation": ("rotation", "rot", "rotate", "r"),
+        "position": ("position", "pos", "location", "loc", "translation", "translate", "t"),
+        "rotation": ("rotation", "rot", "rotate", "angle", "r"),
         "scale": ("scale", "sca"),
     }.items()
     for k, axis in enumerate(("x", "y", "z"))
@@ -124,7 +123,7 @@ class Bone:
         return bool((np.ptp(self.positions, axis=0) > distance).any())
 
 
-_REMARK = re.compile(r"\s(#|//|;)(\s.*)?$")
+_REMARK = re.compile(r"(^|\s)(#|//|;|%|--)(\s.*)?$")
 """What follows a sign of its own to the end of a line of the hierarchy."""
 
 
@@ -132,10 +131,19 @@ _NUMBER = re.compile(r"[-+]?\.?[0-9]|[-+]?(nan|inf)", re.IGNORECASE)
 """How a line of a frame begins."""
 
 _SAID = re.compile(
-    r"(frames|frame[\s_]*time|(?:frame|sample)[\s_]*rate|fps)\b[\s:=]*(\S*(?:\s*ms\b)?)",
+    r"(frames(?![\s_-]*(?:time|rate))|frames?[\s_-]*time|(?:frames?|sample)[\s_-]*rate|fps)\b"
+    r"(?:\s*[\[(]\s*(ms|us|µs|s)\w*\s*[\])])?[\s:=]*(\S*(?:\s*/\s*\S+)?(?:\s*(?:[mµu]?s|sec\w*|milli\w*|micro\w*|fps|hz)\b)?)",
     re.IGNORECASE,
 )
-"""A line, or a part of it, between MOTION and the numbers."""
+"""A line, or a part of it, between MOTION and the numbers: what it says, in which unit, and the value."""
+
+_VALUE = re.compile(
+    r"([^a-zµ/]*?(?:e[-+]?[0-9]+)?)(?:\s*/\s*([0-9.]+))?\s*(?:(fps|hz)|(s|f|mic|mil|ms|us|µs))?[a-z]*[.,;]?",
+    re.IGNORECASE,
+)
+"""A number or a fraction, and its unit of times or of rates."""
+_PARTS = {"ms": 1e3, "mil": 1e3, "us": 1e6, "µs": 1e6, "mic": 1e6}
+"""In a second, by what a unit begins with."""
 
 
 class BvhReader(ClipReader):
@@ -157,8 +165,9 @@ class BvhReader(ClipReader):
             if line[:9].upper() == "HIERARCHY":
                 break
             lines[i] = ""
-        joints, motion = _Hierarchy(path, lines).parse()
-        interval, values = _motion(path, lines, motion, joints, options.rate)
+        hierarchy = _Hierarchy(path, lines)
+        joints, motion = hierarchy.parse()
+        interval, values = _motion(path, lines, motion, joints, hierarchy.columns, options.rate)
         bones = _figure(path, joints, values)
         up, metres = _recognised(path, bones, options)
         for bone in bones[1:]:
@@ -184,6 +193,8 @@ class _Hierarchy:
         self._path = path
         self._words = self._numbered(lines)
         self._line = 1
+        #: Whose the values of a frame are, in their order, and what: of a joint, or of the end of joint -1 - n.
+        self.columns: list[tuple[int, tuple[tuple[str, int], ...]]] = []
 
     def parse(self) -> tuple[list[Joint], int]:
         """The joints, parents first, and the index of the line after MOTION."""
@@ -194,7 +205,7 @@ class _Hierarchy:
             self._fail("'HIERARCHY' is expected")
         while (word := self._next().upper().rstrip(":")) != "MOTION":
             if word in ("ROOT", "JOINT"):
-                if (word == "ROOT") != (not joints) or (joints and not open_joints):
+                if (word == "ROOT" and joints) or (joints and not open_joints):
                     self._fail(
                         "one ROOT is expected, and every JOINT inside it; export each figure by itself"
                     )
@@ -207,14 +218,15 @@ class _Hierarchy:
             if not open_joints:
                 self._fail(f"{shown(word)} stands outside of any joint")
             joint = joints[open_joints[-1]]
-            if word == "OFFSET":
+            if word == "OFFSET":  # as all that follows, perhaps with a colon
                 if joint.offset is not None:
                     self._fail(f"joint '{joint.name}' has two OFFSETs")
                 joint.offset = self._vector()
             elif word in ("CHANNELS", "CHANNEL"):
                 joint.channels = self._channels()
+                self.columns.append((open_joints[-1], joint.channels))
             elif word.startswith(("END", "SITE")):
-                tip = self._end()
+                tip = self._end(open_joints[-1])
                 joint.tip = joint.tip or (tip if any(tip) else None)
             elif word == "}":
                 if joint.offset is None:
@@ -228,7 +240,7 @@ class _Hierarchy:
 
     def _numbered(self, lines: Sequence[str]) -> Iterator[str]:
         for self._line, line in enumerate(lines, start=1):
-            said = _REMARK.sub("", line)
+            said = _REMARK.sub("", re.sub(r"/\*.*?\*/", "", line))
             yield from said.replace("{", " { ").replace("}", " } ").split()
 
     def _next(self) -> str:
@@ -241,15 +253,14 @@ class _Hierarchy:
         if (found := self._next()).upper() != word:
             self._fail(f"'{word}' is expected, not {shown(found)}")
 
-    def _end(self) -> tuple[float, ...]:
+    def _end(self, joint: int) -> tuple[float, ...]:
         """Where the tip is; what the file calls it, before the brace, does not matter."""
         self._words_before_brace()
         tip, word = (0.0, 0.0, 0.0), self._next()
-        if word.upper() == "OFFSET":
+        if word.upper().rstrip(":") == "OFFSET":
             tip, word = self._vector(), self._next()
-        if word.upper() == "CHANNELS":
-            if self._channels():
-                self._fail("the end of a joint has no CHANNELS")
+        if word.upper().rstrip(":") in ("CHANNELS", "CHANNEL"):
+            self.columns.append((-1 - joint, self._channels()))
             word = self._next()
         if word != "}":
             self._fail(f"'OFFSET' or '}}' is expected, not {shown(word)}")
@@ -280,19 +291,24 @@ class _Hierarchy:
         return words
 
     def _vector(self) -> tuple[float, ...]:
-        numbers = []
-        for _ in range(3):
-            word = self._next().rstrip(",;").replace(",", ".")
-            if not is_number(word):
-                self._fail(f"OFFSET needs three numbers, not {shown(word)}")
-            numbers.append(float(word))
+        numbers: list[float] = []
+        while len(numbers) < 3:
+            said = self._next().strip("(),;")
+            # Signs between numbers, or a decimal comma.
+            mark = ";" if ";" in said or said.count(",") < 2 else ","
+            for word in filter(None, (w.replace(",", ".") for w in said.split(mark))):
+                if not is_number(word):
+                    self._fail(f"OFFSET needs three numbers, not {shown(word)}")
+                numbers.append(float(word))
+        if len(numbers) > 3:
+            self._fail("OFFSET needs three numbers")
         return tuple(numbers)
 
     def _channels(self) -> tuple[tuple[str, int], ...]:
-        count = self._next().rstrip(",:")
+        count = self._next().strip(",:")
         if not re.fullmatch("0?[0-9]", count):
             self._fail(f"a joint has from 0 to 9 CHANNELS, not {shown(count)}")
-        names = [self._next().lower().rstrip(",").replace("_", "") for _ in range(int(count))]
+        names = [re.sub(r"[\W_]", "", self._next().lower()) for _ in range(int(count))]
         for name in names:
             if name not in CHANNELS or names.count(name) > 1:
                 self._fail(f"{shown(name)} is not a channel, or is listed twice")
@@ -303,7 +319,12 @@ class _Hierarchy:
 
 
 def _motion(
-    path: Path, lines: Sequence[str], start: int, joints: Sequence[Joint], rate: float | None
+    path: Path,
+    lines: Sequence[str],
+    start: int,
+    joints: Sequence[Joint],
+    parts: Sequence[tuple[int, tuple[tuple[str, int], ...]]],
+    rate: float | None,
 ) -> tuple[float, list[np.ndarray]]:
     """Seconds per frame, and of each joint the values (F, channels) in the file's order.
 
@@ -319,14 +340,14 @@ def _motion(
         )
         if line
     ]
-    for i, word, said in [(i, *said) for i, line in head for said in _SAID.findall(line)]:
+    for i, word, unit, said in [(i, *said) for i, line in head for said in _SAID.findall(line)]:
         if word.lower() != "frames":
-            interval = (i, said.replace(",", "."), word.lower().endswith("time"))
-        elif re.fullmatch(r"[0-9]{1,9}(\.0*)?", said):
-            count = (i, int(float(said)))
+            interval = (i, _seconds(said, unit, word.lower().endswith("time")))
+        elif number := re.match(r"\+?([0-9]{1,9})(\.0*)?(?:\s|$)|-1$", said):
+            count = (i, int(number[1] or 0))  # 0 and -1 of programs that cannot know it yet
     last = head[-1][0] if head else start - 1
     unsaid = count is None and any(
-        w.lower() == "frames" for _, line in head for w, _ in _SAID.findall(line)
+        w.lower() == "frames" for _, line in head for w, _, _ in _SAID.findall(line)
     )
     if (interval is None and rate is None) or unsaid:
         raise FileError(
@@ -335,18 +356,14 @@ def _motion(
         )
     seconds = 1.0 / rate if rate else 0.0
     if interval and not rate:
-        said, per_ms, _ = interval[1].partition("ms")
-        above, _, below = said.strip().partition("/")  # 1/30
-        parts = [float(part) if is_number(part) else 0.0 for part in (above, below or "1")]
-        number = parts[0] / (parts[1] or math.inf) / (1000.0 if per_ms else 1.0)
-        seconds = number if interval[2] else 1.0 / number if number else 0.0
+        seconds = interval[1]
         if not 1e-6 <= seconds <= SLOWEST:
             raise FileError(
                 f"Clip {path}: line {interval[0] + 1}: 'Frame Time' must be seconds above 0 and up to "
                 f"{SLOWEST:g}; or give motion.rate (--source-rate)."
             )
-    columns = sum(len(joint.channels) for joint in joints)
-    if columns == 0:
+    columns = sum(len(channels) for _, channels in parts)
+    if not any(joint.channels for joint in joints):
         raise FileError(f"Clip {path}: no joint has channels, so nothing moves.")
     body = lines[last + 1 :]
     if any(sign in line for line in body for sign in ("#", "//")):
@@ -358,10 +375,10 @@ def _motion(
     if count is not None and frames > count[1] > 0:
         body = _rejoined(body, count[1], columns)
         frames = sum(1 for line in body if line)
-    if count is not None and frames != count[1]:
+    if count is not None and frames != count[1] > 0:
         raise FileError(
             f"Clip {path}: line {count[0] + 1}: {count[1]} frames are announced, but "
-            f"{frames} lines of numbers follow."
+            f"{frames} lines of numbers follow. Export or fetch it again; if these are all, write their number there."
         )
     check_size(path, frames, [joint.name for joint in joints])
     if any(";" in line for line in body):
@@ -372,8 +389,36 @@ def _motion(
         mark = " " if apart else "."
         body = [line.replace(",", mark) for line in body]
     values = number_rows(path, body, last + 2, columns)
-    ends = np.cumsum([len(joint.channels) for joint in joints])
-    return seconds, np.split(values, ends[:-1], axis=1)
+    found = [np.empty((frames, 0)) for _ in joints]
+    at = 0
+    for joint, channels in parts:
+        own = values[:, at : at + len(channels)]
+        at += len(channels)
+        if joint >= 0:
+            found[joint] = own
+            continue
+        tip = np.zeros(3)  # an end turns nothing, and its place replaces its OFFSET
+        for column, (kind, axis) in enumerate(channels):
+            if kind == "position":
+                tip[axis] = np.median(own[:, column])
+        if tip.any():
+            joints[-1 - joint].tip = tuple(tip.tolist())
+    return seconds, found
+
+
+def _seconds(said: str, unit: str, time: bool) -> float:
+    """Between frames, of what is `said`, a time (in a `unit`, if that is named beside it) or else a rate; 0 if it
+    is no number."""
+    if not (found := _VALUE.fullmatch(said.strip())):
+        return 0.0
+    above, below, rate, own = found.groups()
+    parts = [p.strip(" ,;").replace(",", ".") for p in (above, below or "1")]
+    if not all(map(is_number, parts)) or not float(parts[1]):
+        return 0.0
+    number = float(parts[0]) / float(parts[1])
+    if time and not rate:
+        return number / _PARTS.get((own or unit).lower(), 1.0)
+    return 1.0 / number if number else 0.0
 
 
 def _is_word(word: str) -> bool:

@@ -33,15 +33,22 @@ def rate_of(path: Path, word: str) -> float:
 
 
 _COLUMN = re.compile(
-    r"(?:(root)[._/ -](?:p|t|pos[._]?|position[._]?|trans[._]?)?([xyz])|(.*)\.(q[wxyz]|r[xyz])"
+    r"(?:(root)[._/ :-](?:(?:p|t|pos(?:ition)?|trans(?:lat(?:e|ion))?)[._ ]?)?([xyz])|(.*)\.(q[wxyz]|r[xyz])"
     r"|(?!root|base|pelvis)(.+)[_/ :-](?:q|quat[._ ]?)([wxyz]))"
-    r"(?:\s*[\[(]\s*(m|cm|mm|rad|deg|degrees?|°)?\s*[\])])?",
+    r"(?:(?:\s*[\[(]\s*|_)(m|cm|mm|in|inch|inches|ft|foot|feet|rad|deg|degrees?|°)?\s*[\])]?)?",
     re.IGNORECASE,
 )
 
+_QUATERNION = re.compile(
+    r"(.+?)[._/ :-]+(?:q|quat(?:ernion)?|rot(?:ation)?|ori(?:entation)?)?[._ ]?([wxyz])",
+    re.IGNORECASE,
+)
+"""Joint and part of a quaternion, where there are columns of all four parts."""
+_ROOTS = ("root", "base", "pelvis")
+
 _TIME = re.compile(
-    r"(?:time|times|t|timestamp|seconds)"
-    r"(?:[_ ]*[\[(]?(s|sec|seconds|ms|milliseconds|us|µs|microseconds|ns|nanoseconds)[\])]?)?",
+    r"(?:time|times|t|timestamp|seconds|secs?|elapsed(?:[_ ]time)?)"
+    r"(?:[_ /]*[\[(]?(s|sec|seconds|ms|milliseconds|us|µs|microseconds|ns|nanoseconds)[\])]?)?",
     re.IGNORECASE,
 )
 
@@ -56,6 +63,8 @@ _SCALES = {
     "µs": 1e-6,
     "mic": 1e-6,
     "n": 1e-9,
+    "in": 0.0254,
+    "f": 0.3048,
 }
 """m, rad or s in a unit that begins so."""
 
@@ -71,6 +80,8 @@ _UNITS = {
         "ms": "ms msec millisecond milliseconds",
         "us": "us µs microsecond microseconds",
         "ns": "ns nanosecond nanoseconds",
+        "inch": "in inch inches",
+        "ft": "ft foot feet",
         "": "- – 1 # none unitless quat quaternion n/a na",
     }.items()
     for word in ("", *words.split())
@@ -90,12 +101,32 @@ def plain_name(column: str) -> str:
     return column
 
 
+def plain_names(columns: Sequence[str]) -> list[str]:
+    """:func:`plain_name` of the columns of a table of joints, in which four that end with w, x, y and z are a
+    quaternion, of the root, too."""
+    names = [plain_name(column) for column in columns]
+    for joint, parts in _quaternions(columns).items():
+        for part, at in parts.items():
+            names[at] = f"{joint}.q{part}"
+    return names
+
+
+def _quaternions(columns: Sequence[str]) -> dict[str, dict[str, int]]:
+    """By joint and part: the columns of quaternions that are whole, and not written as here."""
+    found: dict[str, dict[str, int]] = {}
+    for at, column in enumerate(columns):
+        if (named := _QUATERNION.fullmatch(column)) and not column.endswith(f".q{named[2]}"):
+            found.setdefault(named[1], {}).setdefault(named[2].lower(), at)
+    return {joint: parts for joint, parts in found.items() if len(parts) == 4}
+
+
 def names_joints(columns: Iterable[str]) -> bool:
     """Whether `columns` have rotations of a joint beside the root, NAME.qw or NAME.rx, as no robot's table has."""
+    columns = list(columns)
+    if len(_quaternions(columns)) > 1:
+        return True
     found = (_COLUMN.fullmatch(column) for column in columns)
-    return any(
-        f and (f[5] or (f[3] and f[3].lower() not in ("root", "base", "pelvis"))) for f in found
-    )
+    return any(f and (f[5] or (f[3] and f[3].lower() not in _ROOTS)) for f in found)
 
 
 def scale_of(column: str) -> float:

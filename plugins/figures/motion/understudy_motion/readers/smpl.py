@@ -8,7 +8,7 @@ clip, or of one person, is left out. The rate is ``mocap_framerate``, ``mocap_fr
 names of these arrays (``global_orient``, ``body_pose``, ``transl``, …) are read as well.
 
 The body's own frames have y up, z forward and x left and are parallel in the T-pose; the world has
-z up, as in AMASS, unless y is given.
+z up, as in AMASS, unless y is given, which is asked for where the body would stand then and lies else.
 
 The body model is not needed, and is not here: instead of the lengths that it would give this person,
 the clip has the skeleton of :data:`OFFSETS`, a nominal adult of 1.7 m. ``trans`` is taken for the
@@ -67,6 +67,10 @@ HALVES: Mapping[str, tuple[str, str]] = {
 }
 """Arrays that may stand for a part, a side each."""
 
+UPRIGHT = 0.8
+"""Least part along y of the body's own up, on average, by which it may stand in a world with y up."""
+HIGH = 0.3
+"""m above the floor that a standing body's pelvis is at least."""
 _SMPL = 23
 """Joints of ``body_pose`` where it is SMPL's own, which has hands."""
 RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps", "mocap_fps")
@@ -155,6 +159,11 @@ class SmplReader(ClipReader):
         high = None if options.unit else translation[:, 1 if options.up == "y" else 2]
         check_sizes(path, vectors, high)
         rate = options.rate or _rate(path, archive)
+        if options.up is None and _stands_in_y(vectors[:, 0], translation):
+            raise FileError(
+                f"Clip {path}: its figure stands in a world with y up, or lies in one with z up; give motion.up=y or z "
+                "(--up)."
+            )
         up = options.up or "z"
         joint_names = JOINTS[num_joints]
         rotation = rotations.from_exponential_map(torch.from_numpy(to_world(vectors, "y")))
@@ -175,7 +184,12 @@ class SmplReader(ClipReader):
 def _poses(path: Path, archive: Archive) -> np.ndarray:
     """(F, J, 3) rotation vectors in the body's frames."""
     whole = _named("poses", archive.names)
-    poses = _vectors(archive, whole) if whole else _of_parts(path, archive)
+    poses = _vectors(path, archive, whole) if whole else _of_parts(path, archive)
+    root = _named("root_orient", archive.names)
+    if whole and root and poses.shape[1] // 3 not in JOINTS and poses.shape[1] // 3 + 1 in JOINTS:
+        orient = _vectors(path, archive, root)  # of the body alone
+        if len(orient) == len(poses) and orient.shape[1] == 3:
+            poses = np.concatenate((orient, poses), axis=1)
     joints, rest = divmod(poses.shape[1], 3)
     if rest or joints not in JOINTS:
         known = ", ".join(str(3 * known) for known in JOINTS)
@@ -192,7 +206,7 @@ def _of_parts(path: Path, archive: Archive) -> np.ndarray:
     for part, joints in PARTS.items():
         name = _named(part, archive.names)
         if name or part in ("root_orient", "pose_body"):
-            values = _vectors(archive, name or part)
+            values = _vectors(path, archive, name or part)
             if part == "pose_body" and values.shape[1] == 3 * _SMPL:
                 joints = _SMPL  # with its hands
             if values.shape[1] not in (3 * joints, 0):
@@ -202,7 +216,7 @@ def _of_parts(path: Path, archive: Archive) -> np.ndarray:
                 )
             found[part] = [values] if values.shape[1] else []
         elif set(HALVES.get(part, ("",))) <= archive.names:
-            sides = [_vectors(archive, side) for side in HALVES[part]]
+            sides = [_vectors(path, archive, side) for side in HALVES[part]]
             # Others are coefficients of the model's own hands, which are not here.
             found[part] = sides if all(2 * v.shape[1] == 3 * joints for v in sides) else []
     body = found["root_orient"] + found["pose_body"]
@@ -219,11 +233,26 @@ def _named(name: str, names: Collection[str]) -> str | None:
     return next((n for n in (name, *NAMES.get(name, ())) if n in names), None)
 
 
-def _vectors(archive: Archive, name: str) -> np.ndarray:
+def _vectors(path: Path, archive: Archive, name: str) -> np.ndarray:
     """(F, 3 J) rotation vectors of an array (F, 3 J), which may have an axis of one more, (F, J, 3) or (F, J, 3, 3)."""
     axes = len(archive.shape(name)) if name in archive.names else 2
+    if (
+        axes == 4
+        and archive.shape(name)[2:] != (3, 3)
+        and _single(archive.shape(name)[:3]) is not None
+    ):
+        values = archive.floats(name, None, None, None, 3)
+        return values.reshape(max(values.shape[:2]), -1)
     if axes == 4:
         matrices = archive.floats(name, None, None, 3, 3)
+        apart = np.abs(matrices @ matrices.swapaxes(2, 3) - np.eye(3)).max(
+            axis=(1, 2, 3), initial=0.0
+        )
+        wrong = (apart > 0.1) | (np.linalg.det(matrices) < 0.0).any(axis=1)
+        if wrong.any():
+            raise FileError(
+                f"Clip {path}: frame {int(wrong.argmax())}: array '{name}' holds a matrix that is no rotation."
+            )
         vectors = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()
         return vectors.reshape(len(matrices), -1)
     if axes == 3 and archive.shape(name)[2] != 3 and _single(archive.shape(name)) is not None:
@@ -247,10 +276,22 @@ def _rate(path: Path, archive: Archive) -> float:
         raise FileError(
             f"Clip {path}: it does not say its frame rate; give motion.rate (--source-rate)."
         )
-    rate = archive.number(name)
+    try:
+        rate = archive.number(name)
+    except FileError as error:
+        raise FileError(f"{error} Or give motion.rate (--source-rate).") from error
     if not 0.0 < rate <= 1e6:
         raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")
     return rate
+
+
+def _stands_in_y(vectors: np.ndarray, places: np.ndarray) -> bool:
+    """Whether a body with these rotations and places (F, 3) of its root is upright, and higher, where y is up."""
+    if not len(vectors):
+        return False
+    up = Rotation.from_rotvec(vectors).apply([0.0, 1.0, 0.0]).mean(axis=0)
+    _, y, z = np.median(places, axis=0)
+    return bool(up[1] > UPRIGHT and y > max(z, HIGH))
 
 
 def _into_z_up(vectors: np.ndarray) -> torch.Tensor:

@@ -37,6 +37,7 @@ from understudy_motion.origin import MAX_RECORD_LINE, provenance
 from understudy_motion.readers.columns import (
     names_joints,
     plain_name,
+    plain_names,
     rate_of,
     said_of,
     scale_of,
@@ -57,7 +58,11 @@ PROVENANCE = ("source", "licence", "sha256", "url", "attribution")
 QUATERNION = ("qw", "qx", "qy", "qz")
 VECTOR = ("rx", "ry", "rz")
 ROOT_POSITION = ("root.px", "root.py", "root.pz")
-UNREAD = re.compile(r"(index|idx|id|row|level_[0-9]+|frames?|unnamed: [0-9]+|)", re.IGNORECASE)
+UNREAD = re.compile(
+    r"(index|idx|id|n|no\.?|nr\.?|sample|step|level_[0-9]+|unnamed: [0-9.]+"
+    r"|(?:frames?|row)(?:[_ ]?(?:index|idx|id|number|no\.?|nr\.?|num|#))?|)",
+    re.IGNORECASE,
+)
 """Columns of row numbers, and empty ones, as spreadsheets and pandas write them."""
 DELIMITERS = ",;\t|"
 REMARKS = ("#", "%", "//")
@@ -140,7 +145,7 @@ class CsvReader(ClipReader):
                 f"Clip {path}: line {start + 2 + gap}: a frame without numbers, and no column 'time' says how long "
                 "it takes; fill it in, or add the times."
             )
-        scales = {plain_name(name): scale_of(name) for name in names}
+        scales = dict(zip(plain_names(names), map(scale_of, names), strict=True))
         joints = _joint_columns(path, columns)
         num_frames = sum(1 for line in body if line.strip())
         check_size(path, num_frames, tuple(joints))
@@ -181,7 +186,7 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
             said[comment[0]] = comment[1]
         elif (
             line.strip()
-            and not line.lower().startswith("sep=")
+            and not line.lower().lstrip('"').startswith("sep=")
             and (not line.lstrip(' "').startswith(REMARKS) or ROOT_POSITION[0] in line)
         ):
             return said, index
@@ -254,7 +259,7 @@ def _delimiter(header: str) -> str:
 
 
 def _cells(header: str, delimiter: str) -> list[str]:
-    return [plain_name(name) for name in _raw(header, delimiter)]
+    return plain_names(_raw(header, delimiter))
 
 
 def _raw(header: str, delimiter: str) -> list[str]:

@@ -1,0 +1,107 @@
+"""Robots' tables of angles: what their headers say of order and units, by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from understudy.errors import FileError
+from understudy_motion.clip import Clip
+from understudy_motion.readers.angles import AnglesReader
+from understudy_motion.reading import ReadOptions
+
+PLACES = ["0", "0.1", "0.8"]
+LYING = {"x": "0", "y": "0.7071068", "z": "0", "w": "0.7071068"}
+"""By part: a robot on its back, by which it cannot be told whether w is first or last."""
+HINGES = ["0.1", "-0.2"]
+
+
+def read(folder: Path, *lines: str, **options: float) -> Clip:
+    path = folder / "clip.csv"
+    path.write_text("\n".join(lines) + "\n")
+    reader = AnglesReader()
+    assert reader.recognises(path.read_bytes(), path)
+    return reader.read(path, ReadOptions(**options))  # type: ignore[arg-type]
+
+
+def row(order: str = "xyzw", *before: str) -> str:
+    return ",".join((*before, *PLACES, *(LYING[part] for part in order), *HINGES))
+
+
+def check(clip: Clip, rate: float = 30.0) -> None:
+    half = 0.5**0.5
+    assert clip.root_position[-1].tolist() == pytest.approx([0.0, 0.1, 0.8])
+    assert clip.rotations[-1, 0].tolist() == pytest.approx([half, 0.0, half, 0.0], abs=1e-6)
+    turned = 2.0 * torch.atan2(clip.rotations[-1, 1:, 1], clip.rotations[-1, 1:, 0])
+    assert turned.tolist() == pytest.approx([0.1, -0.2])
+    assert clip.frame_rate == pytest.approx(rate, rel=1e-3)
+
+
+@pytest.mark.parametrize("order", ["xyzw", "wxyz"])
+@pytest.mark.parametrize(
+    "form", ["q{}", "quat_{}", "root_q{}", "base_quat_{}", "root.rot.{}", "pelvis_rotation_{}"]
+)
+@pytest.mark.parametrize("mark", ["", "# "])
+def test_the_names_say_the_quaternions_order(
+    tmp_path: Path, order: str, form: str, mark: str
+) -> None:
+    """Where the root lies it was read as xyzw, whatever its header said; the header may be np.savetxt's remark."""
+    names = ",".join(
+        ("root_x", "root_y", "root_z", *(form.format(part) for part in order), "knee_joint", "hip")
+    )
+    clip = read(tmp_path, mark + names, row(order), row(order))
+    check(clip)
+    assert clip.joint_names == ("root", "angle knee", "angle hip")
+
+
+def test_the_roots_columns_may_stand_anywhere(tmp_path: Path) -> None:
+    numbers = ",".join((*(LYING[part] for part in "wxyz"), *PLACES, *HINGES))
+    check(read(tmp_path, "qw,qx,qy,qz,x,y,z,knee,hip", numbers, numbers))
+    numbers = ",".join((*HINGES, *PLACES, *(LYING[part] for part in "xyzw")))
+    clip = read(tmp_path, "knee,hip,x,y,z,qx,qy,qz,qw", numbers, numbers)
+    check(clip)
+    assert clip.joint_names == ("root", "angle knee", "angle hip")
+
+
+@pytest.mark.parametrize("index", ["", ","])
+def test_numbers_of_columns_are_no_names(tmp_path: Path, index: str) -> None:
+    """As pandas writes a table without names, with its index or without."""
+    head = index + ",".join(map(str, range(9)))
+    rows = [row("xyzw", *([str(n)] if index else [])) for n in range(3)]
+    clip = read(tmp_path, head, *rows)
+    check(clip)
+    assert (clip.num_frames, clip.joint_names) == (3, ("root", "angle 1", "angle 2"))
+
+
+@pytest.mark.parametrize(
+    ("time", "unit"), [("time_ms", 20), ("time [s]", 0.02), ("timestamp_us", 20000), ("t", 0.02)]
+)
+def test_times_have_the_unit_of_their_name(tmp_path: Path, time: str, unit: float) -> None:
+    """Milliseconds were seconds, silently."""
+    head = f"{time},x,y,z,qx,qy,qz,qw,knee,hip"
+    check(read(tmp_path, head, *(row("xyzw", f"{n * unit:g}") for n in range(4))), rate=50.0)
+
+
+def test_times_that_cannot_be_seconds(tmp_path: Path) -> None:
+    rows = [row("xyzw", str(20 * n)) for n in range(4)]
+    with pytest.raises(
+        FileError, match=r"are 20 s apart; write them in seconds, or give motion\.rate"
+    ):
+        read(tmp_path, *rows)
+    check(read(tmp_path, *rows, rate=50.0), rate=50.0)
+
+
+def test_units_of_names(tmp_path: Path) -> None:
+    names = ["x [cm]", "y_cm", "z (mm)", "qx", "qy", "qz", "qw", "knee [deg]", "hip_deg"]
+    numbers = f"0,10,800,{','.join(LYING[part] for part in 'xyzw')},5.729578,-11.459156"
+    clip = read(tmp_path, ",".join(names), numbers, numbers)
+    check(clip)
+    assert clip.joint_names == ("root", "angle knee", "angle hip")
+
+
+def test_a_height_in_centimetres_is_said_as_such(tmp_path: Path) -> None:
+    numbers = f"0,10,80,{','.join(LYING[part] for part in 'xyzw')},0.1,-0.2"
+    with pytest.raises(FileError, match=r"80 m from the floor; .* \(--unit\), as cm"):
+        read(tmp_path, numbers, numbers)
