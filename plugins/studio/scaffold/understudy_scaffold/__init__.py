@@ -6,10 +6,7 @@ REQUIRES: tuple[str, ...] = ()
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
     "command": {
-        "new plugin": (
-            "new:NewPlugin",
-            "write a package with rewards and an observation, or one of these",
-        ),
+        "new plugin": ("new:NewPlugin", "write a package with rewards, an observation, or both"),
         "new paper": ("new:NewPaper", "the same, with an experiment, page and table"),
     },
 }
