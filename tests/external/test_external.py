@@ -108,7 +108,7 @@ def test_passes_the_checks_that_the_tutorial_shows(site: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "plugin-tutorial.md").read_text(encoding="utf-8")
     (tests,) = re.findall(r"^## 12.*?```python\n(.*?)```", page, re.M | re.S)
     names = re.findall(r"^def (test_\w+)", tests, re.M)
-    assert len(names) == 2
+    assert len(names) == 3
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n" + tests + "\n".join(f"{n}()" for n in names)
     )
