@@ -14,7 +14,7 @@ __all__ = ["StopRequest", "is_stop"]
 
 @dataclass(eq=False)
 class StopRequest:
-    """Inside, stop signals are noted in `received`; `at_once`, the first is a KeyboardInterrupt too.
+    """Inside, stop signals are noted in `received`; `at_once` the first, else a second Ctrl-C, interrupts.
 
     They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next outer
     one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored where it was
@@ -62,6 +62,6 @@ def is_stop(error: BaseException) -> bool:
 
 def _note(number: int, frame: object = None) -> None:
     for request in StopRequest._nested[-1:]:
-        first, request.received = request.received is None, request.received or number
-        if first and request.at_once:
+        before, request.received = request.received, request.received or number
+        if before is None if request.at_once else before == number == signal.SIGINT:
             raise KeyboardInterrupt(signal.Signals(number).name)

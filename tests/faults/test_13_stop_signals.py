@@ -55,13 +55,52 @@ def test_each_signal(plugins: Plugins, tmp_path: Path, number: signal.Signals) -
     assert signal.getsignal(number) == before, "handlers are given back"
 
 
+@pytest.mark.parametrize(
+    ("numbers", "waits"),
+    [
+        ((signal.SIGINT,), True),
+        ((signal.SIGINT, signal.SIGINT), False),
+        ((signal.SIGTERM, signal.SIGINT), True),
+        ((signal.SIGTERM, signal.SIGTERM), True),  # schedulers repeat themselves
+        ((signal.SIGINT, signal.SIGTERM), True),
+    ],
+)
+def test_a_second_ctrl_c_does_not_wait_for_a_long_iteration(
+    plugins: Plugins,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    numbers: tuple[int, ...],
+    waits: bool,
+) -> None:
+    training, done = make_training(plugins, LONG, tmp_path / "run"), []
+    iterate = training.iterate
+
+    def long() -> Any:
+        if training.progress.iteration == 2:
+            for number in numbers:
+                os.kill(os.getpid(), number)
+            done.append("waited")
+        return iterate()
+
+    monkeypatch.setattr(training, "iterate", long)
+    with pytest.raises(PreemptedError if waits else KeyboardInterrupt):
+        training.train()
+    assert done == (["waited"] if waits else [])
+    assert training.run is not None
+    training.run.unlock()
+    again = resumed(plugins, tmp_path / "run")
+    assert again.progress.iteration == (3 if waits else 0), "what was saved goes on"
+
+
 def test_at_random_moments(plugins: Plugins, tmp_path: Path) -> None:
     """Twenty stops at any instruction; the training that was stopped so ends like any other."""
     rng, run = random.Random(0), tmp_path / "run"
     training = make_training(plugins, LONG, run)
     for _ in range(20):
-        shots = [threading.Timer(rng.uniform(0.001, 0.08), os.kill, (os.getpid(), n))
-                 for n in rng.choices([signal.SIGTERM, signal.SIGUSR1, signal.SIGINT], k=2)]  # fmt: skip
+        numbers = [signal.SIGTERM, signal.SIGUSR1, signal.SIGINT]
+        while numbers.count(signal.SIGINT) == 2 or len(numbers) != 2:  # two of those do not wait
+            numbers = rng.choices([signal.SIGTERM, signal.SIGUSR1, signal.SIGINT], k=2)
+        shots = [threading.Timer(rng.uniform(0.001, 0.08), os.kill, (os.getpid(), n)) for n in numbers]  # fmt: skip
         # a shot before or after train() must not end the test itself
         guard = {n: signal.signal(n, lambda *_: None) for n in (15, 10, 2)}
         started = time.monotonic()
@@ -162,6 +201,8 @@ def test_an_evaluation_is_neither_lost_nor_doubled(
     expected = 1 if moment == "before an evaluation" else 2
     assert began == [f"evaluation/{n + 1}" for n in range(expected)]
     assert len(ended) == (2 if moment == "after one" else 1), "a signal does not wait for its end"
+    assert training.run is not None
+    training.run.unlock()
     assert training.run is not None
     training.run.unlock()
     again = resumed(plugins, tmp_path / "run")
