@@ -28,8 +28,7 @@ from omegaconf import DictConfig, OmegaConf
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
-#: A file's path, time of change, size and number.
-State = tuple[str | int, ...]
+State = tuple[str | int, ...]  #: a file's path, time of change, size and number
 _read: dict[State, ConfigResult | None] = {}
 #: What files alone compose, by their folders and what chose them, and which files these were.
 _composed: dict[tuple[str, ...], tuple[dict[str, State | None], DictConfig]] = {}
