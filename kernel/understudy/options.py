@@ -17,16 +17,9 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED",
-    "Option",
-    "as_yaml",
-    "check_range",
-    "checked_options",
-    "in_words",
-    "make_options",
-    "options_of",
-    "schema_of",
-]
+    "REQUIRED", "Option", "as_yaml", "check_range", "checked_options", "in_words", "make_options",
+    "options_of", "schema_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -146,12 +139,8 @@ def as_yaml(value: Any) -> str:
 
 
 _WORDS = {
-    int: "a whole number",
-    float: "a number",
-    str: "text",
-    bool: "true or false",
-    Any: "anything",
-}
+    int: "a whole number", float: "a number", str: "text", bool: "true or false", Any: "anything",
+}  # fmt: skip
 
 
 def in_words(annotation: Any) -> str:

@@ -108,3 +108,16 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
 def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
     folders = option_directories(plugins)
     assert compose(folders, overrides) == hydras(folders, overrides)
+
+
+def test_a_choice_may_follow_another(tmp_path: Path) -> None:
+    """``${…}`` in a list of defaults: what Hydra composes, and another composition is none the wiser."""
+    for group in ("part", "other"):
+        (tmp_path / group).mkdir()
+        for name in ("a", "b"):
+            (tmp_path / group / f"{name}.yaml").write_text(f"x: {group}-{name}\n")
+    (tmp_path / "config.yaml").write_text("defaults: [part: a, other: '${part}', _self_]\n")
+    for overrides, other in (([], "other-a"), (["part=b"], "other-b"), ([], "other-a")):
+        found = compose([tmp_path], overrides)
+        assert found.other.x == other
+        assert found == hydras([tmp_path, tmp_path], overrides)

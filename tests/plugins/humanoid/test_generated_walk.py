@@ -103,3 +103,12 @@ def test_impossible_walks_are_refused() -> None:
         generated_walk(heading_rate=2.0)
     with pytest.raises(ConfigError, match=r"heading_rate=1 is not possible at speed=0\.3"):
         generated_walk(speed=0.3, heading_rate=1.0)
+
+
+def test_each_caller_has_a_clip_of_its_own() -> None:
+    """It is made once; what one does to it no other sees."""
+    first, again = generated_walk(speed=0.9), generated_walk(speed=0.9)
+    first.rotations.zero_()
+    assert first is not again
+    assert torch.equal(generated_walk(speed=0.9).rotations, again.rotations)
+    assert again.rotations.abs().sum() > 1.0

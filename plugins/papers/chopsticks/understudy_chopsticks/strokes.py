@@ -111,22 +111,33 @@ def _drawn(options: Strokes.Options, context: Context) -> Curves:
     # It begins at rest, and at full speed some tenths of a second later.
     gone = times - _START * (1.0 - torch.exp(-times / _START))
     wave = torch.randn(_TRIES * options.curves, _WAVES, 2, 2, generator=stream, dtype=torch.float64)
-    around = _curve(wave, torch.linspace(0.0, 2.0 * math.pi, _POINTS, dtype=torch.float64))
-    from_middle = (around - around.mean(1, keepdim=True)).norm(dim=-1).amax(1)
-    wave = options.size / from_middle[:, None, None, None] * wave
-    along = _curve(wave, 2.0 * math.pi * options.rate * gone)
-    solved = arm.solve(palm + along, turn, swivel)
-    good = (solved.inside.amin(1) > _INSIDE).nonzero()[: options.curves, 0]
-    if len(good) < options.curves:
+    curve = torch.linspace(0.0, 2.0 * math.pi, _POINTS, dtype=torch.float64)
+    poses, alongs, wholes, missing = [], [], [], options.curves
+    for some in wave.split(options.curves):  # mostly the first are enough
+        around = _curve(some, curve)
+        from_middle = (around - around.mean(1, keepdim=True)).norm(dim=-1).amax(1)
+        some = options.size / from_middle[:, None, None, None] * some
+        along = _curve(some, 2.0 * math.pi * options.rate * gone)
+        solved = arm.solve(palm + along, turn, swivel)
+        good = (solved.inside.amin(1) > _INSIDE).nonzero()[:missing, 0]
+        poses.append(solved.pose[good])
+        alongs.append(along[good])
+        wholes.append(_curve(some[good], curve))
+        missing -= len(good)
+        if not missing:
+            break
+    else:
         raise ConfigError(
-            f"The arm can follow {len(good)} of {len(wave)} curves of initial_states.size={options.size:g} m. Set it "
-            "to less, or initial_states.curves."
+            f"The arm can follow {options.curves - missing} of {len(wave)} curves of initial_states.size={options.size:g} m. "
+            "Set it to less, or initial_states.curves."
         )
-    whole = _curve(wave, torch.linspace(0.0, 2.0 * math.pi, _POINTS, dtype=torch.float64))
-    tip, device = palm + reach, context.device
+    tip, device, pose = palm + reach, context.device, torch.cat(poses)
     return Curves(
-        solved.pose[good[0], 0].numpy(),
-        *(part[good].float().to(device) for part in (solved.pose, tip + along, tip + whole)),
+        pose[0, 0].numpy(),
+        *(
+            part.float().to(device)
+            for part in (pose, tip + torch.cat(alongs), tip + torch.cat(wholes))
+        ),
     )
 
 

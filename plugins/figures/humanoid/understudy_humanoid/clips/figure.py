@@ -6,10 +6,12 @@ with the path of the root it is a motion. All arrays are float64 and run over F 
 
 from __future__ import annotations
 
+import copy
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, ParamSpec, TypeAlias
 
 import numpy as np
 import torch
@@ -35,6 +37,9 @@ ROWS = {row.name: row for row in BODIES}
 _JOINTS = [row for row in BODIES if row.joints or row.parent is None]
 _NAMES = tuple(row.name for row in _JOINTS)
 _PARENTS = tuple(-1 if row.parent is None else _NAMES.index(row.parent) for row in _JOINTS)
+_Parameters = ParamSpec("_Parameters")
+#: Clips of a family that are kept: a training and its evaluations ask for the same few.
+_KEPT = 16
 #: Times per second of a grid, at least.
 _FINENESS = 480.0
 #: Numbers of rotations from which numpy multiplies them sooner than scipy.
@@ -49,6 +54,18 @@ def check(clip: str, least: float, most: float, **parameters: float) -> None:
                 f"{clip}: {name}={value:g} is not possible: "
                 f"it must be at least {least:g} and at most {most:g}."
             )
+
+
+def remembered(make: Callable[_Parameters, Clip]) -> Callable[_Parameters, Clip]:
+    """The clip of the same parameters is made once; each caller has a copy of its own."""
+    kept = functools.lru_cache(_KEPT, typed=True)(make)
+
+    @functools.wraps(make)
+    def again(*none: _Parameters.args, **parameters: _Parameters.kwargs) -> Clip:
+        every: Any = {**(make.__kwdefaults__ or {}), **parameters}
+        return copy.deepcopy(kept(*none, **every))
+
+    return again
 
 
 @dataclass(frozen=True)

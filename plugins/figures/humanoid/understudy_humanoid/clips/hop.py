@@ -31,6 +31,7 @@ _LIST = {"both": 0.0, "left": 4.0, "right": -4.0}
 _BRAKE = 0.05  #: s, in which a leg that has left the floor ends its stretch
 
 
+@figure.remembered
 def generated_hop(
     *,
     #: m by which the centre of mass rises after take-off, from 0.05 to 0.3

@@ -32,6 +32,7 @@ _EASY = 3.0  #: m/s, from which the profiles grow with the speed
 _PITCH = ((0.24, 0.0), (0.34, 0.0), (0.66, 20.0), (1.0, 58.0))
 
 
+@figure.remembered
 def generated_run(
     *,
     #: m/s, from 2 to 5; faster runs take shorter contacts, and shorter and longer steps

@@ -57,6 +57,7 @@ _CLEARANCE = np.array([(0.67, 0.026), (0.80, 0.026), (0.91, 0.024)])
 _LOOK_AHEAD, _LEANING_HEIGHT = 0.3, 0.85
 
 
+@figure.remembered
 def generated_walk(
     *,
     #: m/s, along the path, up to 3
