@@ -44,27 +44,6 @@ def test_it_predicts_what_it_did_not_see() -> None:
     assert mean.dtype == torch.float64
 
 
-@pytest.mark.parametrize("kernel", ["se", "matern"])
-@pytest.mark.parametrize("slope", [0.0, 1.0])
-def test_what_is_fitted_is_gpytorchs_likelihood(kernel: str, slope: float) -> None:
-    """And its slopes, at some hyper-parameters."""
-    x = draws.many(0, 0, 3, 9)
-    seen = data(x, torch.sin(5 * x[:, 0]) + x[:, 2], (torch.arange(9) % 3).double() / 2)
-    ours = Surrogate(SurrogateOptions(kernel=kernel, slope=slope), seen)  # type: ignore[arg-type]
-    model = ours._model.requires_grad_(True).train()
-    exact = ExactMarginalLogLikelihood(model.likelihood, model)
-    free, closure = list(exact.parameters()), ours._closure(exact)
-    for by in (1.0, 0.6, 2.5):
-        with torch.no_grad():
-            for parameter in free:
-                parameter.mul_(by)
-        theirs = -exact(model(*model.train_inputs), model.train_targets)
-        found, slopes = closure()
-        assert float(found) == pytest.approx(float(theirs.detach()), abs=1e-7)
-        for one, other in zip(slopes, torch.autograd.grad(theirs, free), strict=True):
-            assert one.numpy() == pytest.approx(other.numpy(), rel=1e-6, abs=1e-7)
-
-
 def test_a_sensitive_parameter_has_a_short_length_scale() -> None:
     short, long = Surrogate(OPTIONS, smooth()).length_scales
     assert short < 0.5 * long

@@ -7,12 +7,11 @@ try:
     from botorch.models import SingleTaskGP
     from botorch.models.utils.gpytorch_modules import get_covar_module_with_dim_scaled_prior
     from gpytorch.constraints import GreaterThan
-    from gpytorch.kernels import ProductKernel, RBFKernel
+    from gpytorch.kernels import Kernel, ProductKernel, RBFKernel
     from gpytorch.means import ConstantMean, Mean
     from gpytorch.mlls import ExactMarginalLogLikelihood
     from gpytorch.priors import LogNormalPrior, NormalPrior
-    from linear_operator.utils.cholesky import psd_safe_cholesky
-    from linear_operator.utils.errors import NotPSDError
+    from gpytorch.settings import debug
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -23,16 +22,16 @@ __all__ = [
     "ConstantMean",
     "ExactMarginalLogLikelihood",
     "GreaterThan",
+    "Kernel",
     "LogNormalPrior",
     "Mean",
     "ModelFittingError",
     "NormalPrior",
-    "NotPSDError",
     "ProductKernel",
     "RBFKernel",
     "SingleTaskGP",
+    "debug",
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
-    "psd_safe_cholesky",
 ]

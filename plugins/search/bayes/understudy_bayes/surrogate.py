@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,6 +18,7 @@ from understudy_bayes.libraries import (
     ConstantMean,
     ExactMarginalLogLikelihood,
     GreaterThan,
+    Kernel,
     LogNormalPrior,
     Mean,
     ModelFittingError,
@@ -27,11 +26,10 @@ from understudy_bayes.libraries import (
     ProductKernel,
     RBFKernel,
     SingleTaskGP,
+    debug,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
-    psd_safe_cholesky,
 )
-from understudy_bayes.likelihood import Likelihood, log_density
 from understudy_bayes.space import Space
 
 __all__ = ["Surrogate", "SurrogateOptions", "fitted"]
@@ -100,91 +98,28 @@ class Surrogate:
                 initial_value=prior.mode,
             ),
         )
-        kernel = ProductKernel(self._space, self._fidelity).double()
+        self._kernel: Kernel = ProductKernel(self._space, self._fidelity).double()
         with warnings.catch_warnings(), random.private_rng(seed, "surrogate"):
             warnings.simplefilter("ignore", BotorchWarning)
             self._model = SingleTaskGP(
                 self._x,
                 self._y.unsqueeze(1),
-                covar_module=kernel,
+                covar_module=self._kernel,
                 mean_module=_Line(options.slope) if options.slope > 0 else None,
                 outcome_transform=None,
             )
             self._fit()
-        self._model.requires_grad_(False)
-        self._observe()
+        self._model.eval()
 
     def _fit(self) -> None:
         model = self._model
         begin = {name: value.clone() for name, value in model.state_dict().items()}
-        exact = ExactMarginalLogLikelihood(model.likelihood, model)
+        likelihood = ExactMarginalLogLikelihood(model.likelihood, model)
         try:
-            fit_gpytorch_mll(
-                exact, closure=self._closure(exact), optimizer_kwargs={"options": {"maxiter": 200}}
-            )
+            with debug(False):  # GPyTorch's checks of itself, a seventh of the time
+                fit_gpytorch_mll(likelihood, optimizer_kwargs={"options": {"maxiter": 200}})
         except ModelFittingError:  # nothing can be learned from these: the priors' modes stay
             model.load_state_dict(begin)
-
-    def _closure(self, exact: Any) -> Callable[[], tuple[Tensor, list[Tensor]]]:
-        """What `exact`, GPyTorch's likelihood with the priors' densities, is, negative and by trial, and its slopes
-        in the parameters that are free, in their order."""
-        mean, noise, n = (
-            self._model.mean_module,
-            exact.likelihood.noise_covar.raw_noise,
-            len(self._y),
-        )
-        line, space, fidelity = isinstance(mean, _Line), self._space, self._fidelity
-        constant = (mean.constant if isinstance(mean, _Line) else mean).raw_constant
-        parts = [space.raw_lengthscale, fidelity.raw_lengthscale, noise, constant]
-        priors = [space.lengthscale_prior, fidelity.lengthscale_prior]
-        priors += [exact.likelihood.noise_covar.noise_prior, None]
-        if isinstance(mean, _Line):
-            parts.append(mean.slope)
-            priors.append(mean.slope_prior)
-        views = [part.detach().view(-1).numpy() for part in parts]
-        order = [next(i for i, p in enumerate(parts) if p is free) for free in exact.parameters()]
-        likelihood = Likelihood(self._x, self._y, not isinstance(space, RBFKernel))
-
-        def closure() -> tuple[Tensor, list[Tensor]]:
-            scales = np.concatenate(views[:2])
-            slope = float(views[4][0]) if line else 0.0
-            found, by_scale, *others = likelihood.at(scales, views[2][0], views[3][0], slope)
-            slopes = [by_scale[:-1], by_scale[-1:], *(np.array([other]) for other in others)]
-            for i, prior in enumerate(priors):
-                if prior is not None:
-                    density, more = log_density(prior, views[i])
-                    found, slopes[i] = found + density, slopes[i] + more
-            grown = [torch.from_numpy(slopes[i] / -n).view_as(parts[i]) for i in order]
-            return torch.tensor(-found / n, dtype=torch.float64), grown
-
-        return closure
-
-    def _root(self) -> Tensor:
-        """The Cholesky factor (n, n) of the covariance of what was seen."""
-        noise: Any = self._model.likelihood.noise
-        covariance = self._covariance(self._x, self._x)
-        return psd_safe_cholesky(covariance + noise * torch.eye(len(covariance)).to(covariance))
-
-    def _covariance(self, a: Tensor, b: Tensor) -> Tensor:
-        """k (m, n) of points with their fidelities `a` (m, d + 1) and `b` (n, d + 1)."""
-        scales = torch.cat([self._space.lengthscale[0], self._fidelity.lengthscale[0]])
-        square = ((a.unsqueeze(1) - b) / scales).square()
-        if isinstance(self._space, RBFKernel):
-            return torch.exp(-0.5 * square.sum(2))
-        r = (5.0 * square[..., :-1].sum(2)).clamp(min=1e-30).sqrt()
-        return (1 + r + r.square() / 3) * torch.exp(-r - 0.5 * square[..., -1])
-
-    def _mean(self, at: Tensor) -> Tensor:
-        """The prior's mean (m,) at points with their fidelities (m, d + 1)."""
-        mean = self._model.mean_module
-        own: Any = mean.constant if isinstance(mean, _Line) else mean
-        slope = mean.slope if isinstance(mean, _Line) else 0.0
-        return own.constant + slope * at[:, -1]
-
-    def _observe(self) -> None:
-        self._factor = self._root()
-        off = (self._y - self._mean(self._x)).unsqueeze(1)
-        self._weights = torch.cholesky_solve(off, self._factor)[:, 0]
 
     def believe(self, x: Tensor, z: Tensor) -> None:
         """Take the trials at `x` (m, d), `z` (m,), which still run, to give what the model expects
@@ -195,21 +130,24 @@ class Surrogate:
             mean, _ = self.posterior(x, z)
         self._x = torch.cat([self._x, _joined(x, z)])
         self._y = torch.cat([self._y, mean])
-        self._observe()
+        self._model.set_train_data(self._x, self._y, strict=False)
+        self._model.eval()
 
     def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
         fidelities `z` (m,)."""
-        at = _joined(self._taken(x), z)
-        shared = self._covariance(at, self._x)
-        known = torch.linalg.solve_triangular(self._factor, shared.T, upper=False)
-        variance = 1.0 - known.square().sum(0)
-        return self._mean(at) + shared @ self._weights, variance.clamp(min=1e-12).sqrt()
+        with debug(False):
+            found = self._model.posterior(_joined(self._taken(x), z))
+            mean, variance = found.mean, found.variance
+        assert isinstance(mean, Tensor)
+        assert isinstance(variance, Tensor)
+        return mean.squeeze(-1), variance.squeeze(-1).clamp(min=1e-12).sqrt()
 
     def correlation(self, x: Tensor, z: Tensor, xs: Tensor, zs: Tensor) -> Tensor:
         """k((x, z), (x_i, z_i)) (n,) of one place `x` (d,), `z` () with `xs` (n, d), `zs` (n,)."""
-        one = _joined(self._taken(x.unsqueeze(0)), z.reshape(1))
-        return self._covariance(one, _joined(xs, zs))[0].detach()
+        with torch.no_grad():
+            one = _joined(self._taken(x.unsqueeze(0)), z.reshape(1))
+            return self._kernel(one, _joined(xs, zs)).to_dense()[0]
 
     @property
     def fidelity_scale(self) -> float:
