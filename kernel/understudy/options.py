@@ -17,9 +17,16 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED", "Option", "as_yaml", "check_range", "checked_options", "in_words", "make_options",
-    "options_of", "schema_of",
-]  # fmt: skip
+    "REQUIRED",
+    "Option",
+    "as_yaml",
+    "check_range",
+    "checked_options",
+    "in_words",
+    "make_options",
+    "options_of",
+    "schema_of",
+]
 
 
 @dataclass(frozen=True)
@@ -139,8 +146,12 @@ def as_yaml(value: Any) -> str:
 
 
 _WORDS = {
-    int: "a whole number", float: "a number", str: "text", bool: "true or false", Any: "anything",
-}  # fmt: skip
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    Any: "anything",
+}
 
 
 def in_words(annotation: Any) -> str:

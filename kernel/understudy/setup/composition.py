@@ -22,9 +22,16 @@ from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "option_directories",
-    "options", "refuse_resolvers", "replaced", "split_overrides",
-]  # fmt: skip
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "option_directories",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "split_overrides",
+]
 
 
 @contextlib.contextmanager

@@ -6,16 +6,14 @@ needs, and throws them away.
 
 from __future__ import annotations
 
+import copy
 import functools
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from stat import S_ISREG
-from typing import Any
 
 from hydra import version
-from hydra._internal import defaults_list
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
@@ -28,16 +26,12 @@ from omegaconf import DictConfig, OmegaConf
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
-State = tuple[str | int, ...]  #: a file's path, time of change, size and number
+#: A file's path, time of change, size and number.
+State = tuple[str | int, ...]
 _read: dict[State, ConfigResult | None] = {}
 #: What files alone compose, by their folders and what chose them, and which files these were.
 _composed: dict[tuple[str, ...], tuple[dict[str, State | None], DictConfig]] = {}
-_MOST = 300  #: such compositions that are kept, each of some 0.1 MB
-_map = defaults_list._create_interpolation_map
-#: Hydra makes it for every file, in a quarter of the time, and asks it what ``${…}`` in defaults means.
-defaults_list._create_interpolation_map = lambda *of: (
-    _map(*of) if any(default.is_interpolation() for default in of[1]) else OmegaConf.create()
-)
+_MOST = 100  #: such compositions that are kept
 
 
 @functools.lru_cache(1024)
@@ -55,7 +49,7 @@ class OptionFiles(ConfigRepository):
         self._loaded: dict[str, ConfigResult | None] = {}
 
     def group_exists(self, config_path: str) -> bool:
-        return any(os.path.isdir(f"{s.path}/{config_path}") for s in self.sources)
+        return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
 
     def load_config(self, config_path: str) -> ConfigResult | None:
         if config_path not in self._loaded:
@@ -64,16 +58,15 @@ class OptionFiles(ConfigRepository):
                 _read[state] = found = super().load_config(config_path)
                 if found:
                     found.is_schema_source = True  # for which Hydra seeks no schema
-            kept = _read[state] if state else None  # of which Hydra changes what it is given
-            given = kept and replace(kept, config=_copied(kept.config), header={**kept.header})
-            self._loaded[config_path] = given
+            kept = _read[state] if state else None
+            self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
         return self._loaded[config_path]
 
     def state(self, config_path: str) -> State | None:
         """The first file of that name, and what changes when its content does."""
         name = f"{config_path.removesuffix('.yaml')}.yaml"
         for source in self.sources:
-            file = f"{source.path}/{name}"
+            file = os.path.join(source.path, name)
             try:
                 state = os.stat(file)
             except (OSError, ValueError):
@@ -120,23 +113,4 @@ def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
         if len(_composed) >= _MOST:
             _composed.clear()
         _composed[key] = (files.states, config)
-    return _copied(config)
-
-
-def _copied(node: Any, parent: Any = None) -> Any:
-    """What :func:`copy.deepcopy` makes of what files hold, in a tenth of the time."""
-    about = node._metadata
-    about = _like(about, flags={**about.flags}, resolver_cache=about.resolver_cache.copy())
-    result = _like(node, _parent=parent, _metadata=about, _flags_cache=None)
-    inside = result.__dict__.get("_content")
-    if isinstance(inside, dict):
-        result.__dict__["_content"] = {k: _copied(item, result) for k, item in inside.items()}
-    elif isinstance(inside, list):
-        result.__dict__["_content"] = [_copied(item, result) for item in inside]
-    return result
-
-
-def _like(thing: Any, **changed: Any) -> Any:
-    result = object.__new__(type(thing))
-    result.__dict__.update(thing.__dict__, **changed)
-    return result
+    return copy.deepcopy(config)
