@@ -19,6 +19,7 @@ from understudy.errors import ConfigError, suggestion
 __all__ = [
     "REQUIRED",
     "Option",
+    "Typed",
     "as_yaml",
     "check_range",
     "checked_options",
@@ -39,6 +40,13 @@ class Option:
 
 
 REQUIRED: Any = inspect.Parameter.empty
+
+
+class Typed(str):
+    """A number or a truth value as it was typed, which its value does not say: ``1e3``, ``0012``, ``on``."""
+
+    value: Any
+    taken = False  #: whether an option took the text
 
 
 def options_of(factory: Any) -> dict[str, Option]:
@@ -77,15 +85,16 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 
     Knows the types that options use: bool, int, float, str, ``X | None``, ``Literal``, tuples and
     lists, mappings, nested dataclasses, and Any. Integers are accepted as floats, never the
-    reverse; NaN and infinity are never accepted.
+    reverse; NaN and infinity are never accepted. A number is text as it was typed.
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
-        return value
+        return untyped(value)
     if origin in (typing.Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
         attempts = [item for item in arguments if item is not type(None)]
+        attempts.sort(key=lambda item: item is str and isinstance(value, (int, float, Typed)))
         for item in attempts:
             try:
                 return coerce(value, item, where)
@@ -94,6 +103,13 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
                     if len(attempts) == 1 or isinstance(value, (list, tuple, Mapping)):
                         raise
                     raise _not_of(attempts, value, where) from None
+    if isinstance(value, (bool, int, float, Typed)):
+        text = str(value) if isinstance(value, Typed) else as_yaml(value)
+        if annotation is str or (origin is typing.Literal and text in arguments):
+            if isinstance(value, Typed):
+                value.taken = True
+            return text
+        value = untyped(value)
     if origin is typing.Literal:
         if value in arguments:
             return value
@@ -121,7 +137,8 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         )
     if (origin or annotation) in (dict, Mapping) and isinstance(value, Mapping):
         kind = arguments[1] if arguments else Any
-        return {str(k): coerce(v, kind, f"{where}.{k}") for k, v in value.items()}
+        named = {k if isinstance(k, str) else as_yaml(k): v for k, v in value.items()}
+        return {k: coerce(v, kind, f"{where}.{k}") for k, v in named.items()}
     if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
         return make_options(annotation, value, where)
     raise _not_of([annotation], value, where)
@@ -129,9 +146,16 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 
 def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
     expected = " or ".join(dict.fromkeys(in_words(kind) for kind in kinds))
-    text = str in kinds and isinstance(value, (int, float))
-    hint = f" As text it is quoted twice: {where}=\"'{as_yaml(value)}'\"." if text else ""
-    return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.{hint}")
+    return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.")
+
+
+def untyped(value: Any) -> Any:
+    """`value` with numbers for what was typed as one, unless an option took the text."""
+    if isinstance(value, Mapping):
+        return {key: untyped(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(map(untyped, value))
+    return (str(value) if value.taken else value.value) if isinstance(value, Typed) else value
 
 
 def as_yaml(value: Any) -> str:

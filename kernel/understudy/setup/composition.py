@@ -14,9 +14,10 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from understudy.errors import ConfigError, suggestion
+from understudy.errors import ConfigError, UnderstudyError, suggestion
+from understudy.options import untyped
 from understudy.setup.config import Experiment
-from understudy.setup.option_files import compose, parsed
+from understudy.setup.option_files import compose, marked, parsed, typed, unmarked
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
@@ -109,7 +110,7 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
         elif "=" in word and (sign in "[{" or depth):
             depth += (sign in "[{") - (sign in "]}")
         elif sign in "[]{}," or (sign == ":" and within[-1] == "{"):
-            result, word = result + ended() + sign, ""
+            result, word = result + (word if sign == ":" else ended()) + sign, ""
             within += [sign] if sign in "[{" else []
             within = within[:-1] if sign in "]}" and len(within) > 1 else within
             continue
@@ -184,7 +185,8 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
-    text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    lines = unmarked(str(error)).splitlines()
+    text = next((line.strip() for line in lines if line.strip()), "")
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:
         return _not_set(unset[1], overrides, plugins)
@@ -253,8 +255,26 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
         key, equals, value = override.partition("=")
         plain = bool(equals and key) and key[0] not in "+~"
         sets = "." in key or value.startswith("{") or _is_value(key, plugins)
+        if _NUMERAL.search(value) and key[0] != "~":
+            words = (
+                _each_word(value, _as_typed)
+                if sets and value[0] in "[{"
+                else _as_typed(value, sets)
+            )
+            override = f"{key}={words}"
         result.append(f"++{override}" if plain and sets else override)
     return result
+
+
+_NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)", re.IGNORECASE)
+
+
+def _as_typed(word: str, sets: bool = True) -> str:
+    """`word`; as a number whose value does not say how it is typed, its mark in quotes, as one that names a file
+    (where it does not set a value) itself in quotes."""
+    value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
+    mark = marked(value, word) if sets else word
+    return word if mark == value else f"'{mark}'"
 
 
 def split_overrides(
@@ -334,10 +354,15 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
+    given = typed(_as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied))
     for path in sorted(_missing(given)):
         raise ConfigError(_not_set(path, overrides, plugins))
-    return given
+    with contextlib.suppress(
+        UnderstudyError
+    ):  # which is the reader's; this says what is taken as text
+        if given != untyped(given):
+            validate(given, plugins.registry)
+    return untyped(given)
 
 
 def _missing(value: Any, path: str = "") -> Iterator[str]:

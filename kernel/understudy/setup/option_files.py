@@ -9,10 +9,13 @@ from __future__ import annotations
 import copy
 import functools
 import os
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from stat import S_ISREG
+from typing import Any
 
+import yaml
 from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
@@ -21,10 +24,13 @@ from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.defaults_list import DefaultsList, create_defaults_list
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.plugins.config_source import ConfigResult
+from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
+from omegaconf._utils import get_yaml_loader
 
-__all__ = ["OptionFiles", "choices", "compose", "parsed"]
+from understudy.options import Typed, as_yaml
+
+__all__ = ["OptionFiles", "choices", "compose", "marked", "parsed", "typed", "unmarked"]
 
 #: A file's path, time of change, size and number.
 State = tuple[str | int, ...]
@@ -40,11 +46,63 @@ def parsed(override: str) -> Override:
     return OverridesParser.create().parse_overrides([override])[0]
 
 
+#: What stands for a :class:`Typed` while Hydra composes, in which there are no values but YAML's own.
+_MARK = re.compile("\ue000(.*?)\ue001(.*?)\ue002", re.DOTALL)
+_NAMED = {"True": True, "False": False}
+
+
+def marked(value: Any, text: str) -> Any:
+    """`value`, or its mark where it is a number or a truth value and does not say that `text` was typed."""
+    plain = type(value) not in (bool, int, float) or as_yaml(value) == text
+    return value if plain else f"\ue000{value!r}\ue001{text}\ue002"
+
+
+def unmarked(text: str) -> str:
+    """`text` with what was typed in place of marks."""
+    return _MARK.sub(r"\2", text)
+
+
+def typed(value: Any) -> Any:
+    """The nested `value` with a :class:`Typed` in place of every mark; keys become their text."""
+    if isinstance(value, Mapping):
+        return {unmarked(k) if isinstance(k, str) else k: typed(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [typed(item) for item in value]
+    mark = _MARK.fullmatch(value) if isinstance(value, str) else None
+    if mark is None:
+        return unmarked(value) if isinstance(value, str) else value
+    result, number = Typed(mark[2]), mark[1]
+    whole = number.lstrip("-").isdigit()
+    result.value = _NAMED[number] if number in _NAMED else (int if whole else float)(number)
+    return result
+
+
+class _Loader(get_yaml_loader()):
+    """OmegaConf's, of plain scalars as they are typed."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        value = super().construct_object(node, deep)
+        scalar = isinstance(node, yaml.ScalarNode) and node.style is None
+        return marked(value, node.value) if scalar else value
+
+
+class _Files(FileConfigSource):
+    """Hydra's, read by :class:`_Loader`."""
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        file = os.path.join(self.path, self._normalize_file_name(config_path))
+        with open(file, encoding="utf-8") as opened:
+            text = opened.read()
+        config = OmegaConf.create(yaml.load(text, _Loader) or {})
+        header = ConfigSource._get_header_dict(text[:512])
+        return ConfigResult(self.provider, f"{self.scheme()}://{self.path}", config, header)
+
+
 class OptionFiles(ConfigRepository):
     """The files in `folders`, for one composition; one that has not changed is not parsed anew."""
 
     def __init__(self, folders: Iterable[Path]) -> None:
-        self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
+        self.sources = [_Files("understudy", f"file://{folder}") for folder in folders]
         self.states: dict[str, State | None] = {}  #: of what was asked for
         self._loaded: dict[str, ConfigResult | None] = {}
 
