@@ -17,17 +17,9 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED",
-    "Option",
-    "Typed",
-    "as_yaml",
-    "check_range",
-    "checked_options",
-    "in_words",
-    "make_options",
-    "options_of",
-    "schema_of",
-]
+    "REQUIRED", "Option", "Typed", "as_yaml", "check_range", "checked_options", "in_words",
+    "make_options", "options_of", "schema_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,11 +34,16 @@ class Option:
 REQUIRED: Any = inspect.Parameter.empty
 
 
-class Typed(str):
-    """A number or a truth value as it was typed, which its value does not say: ``1e3``, ``0012``, ``on``."""
+@dataclass(eq=False)
+class Typed:
+    """A number or a truth value of which its value does not say how it was typed: ``1e3``, ``0012``, ``on``."""
 
     value: Any
-    taken = False  #: whether an option took the text
+    text: str
+    taken: bool = False  #: whether an option took the text
+
+    def __repr__(self) -> str:
+        return self.text
 
 
 def options_of(factory: Any) -> dict[str, Option]:
@@ -103,13 +100,10 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
                     if len(attempts) == 1 or isinstance(value, (list, tuple, Mapping)):
                         raise
                     raise _not_of(attempts, value, where) from None
-    if isinstance(value, (bool, int, float, Typed)):
-        text = str(value) if isinstance(value, Typed) else as_yaml(value)
-        if annotation is str or (origin is typing.Literal and text in arguments):
-            if isinstance(value, Typed):
-                value.taken = True
-            return text
-        value = untyped(value)
+    if isinstance(value, (int, float, Typed)):
+        number = value if isinstance(value, Typed) else Typed(value, as_yaml(value))
+        number.taken |= annotation is str or (origin is typing.Literal and number.text in arguments)
+        value = untyped(number)
     if origin is typing.Literal:
         if value in arguments:
             return value
@@ -137,8 +131,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         )
     if (origin or annotation) in (dict, Mapping) and isinstance(value, Mapping):
         kind = arguments[1] if arguments else Any
-        named = {k if isinstance(k, str) else as_yaml(k): v for k, v in value.items()}
-        return {k: coerce(v, kind, f"{where}.{k}") for k, v in named.items()}
+        return {str(k): coerce(v, kind, f"{where}.{k}") for k, v in value.items()}
     if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
         return make_options(annotation, value, where)
     raise _not_of([annotation], value, where)
@@ -153,9 +146,9 @@ def untyped(value: Any) -> Any:
     """`value` with numbers for what was typed as one, unless an option took the text."""
     if isinstance(value, Mapping):
         return {key: untyped(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return type(value)(map(untyped, value))
-    return (str(value) if value.taken else value.value) if isinstance(value, Typed) else value
+    if isinstance(value, list):
+        return [untyped(item) for item in value]
+    return (value.text if value.taken else value.value) if isinstance(value, Typed) else value
 
 
 def as_yaml(value: Any) -> str:
@@ -261,8 +254,7 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are
-    errors."""
+    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

@@ -1,8 +1,7 @@
 """The loop of every run: iterate a job, record, evaluate now and then, and stop for a reason.
 
-The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`,
-so a run that is stopped at any moment continues from its last checkpoint as if it had never
-stopped; on the CPU, to the last bit.
+The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`, so a run that is
+stopped at any moment continues from its last checkpoint as if it had never stopped; on the CPU, to the last bit.
 """
 
 from __future__ import annotations

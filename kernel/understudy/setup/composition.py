@@ -23,16 +23,9 @@ from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw",
-    "for_hydra",
-    "hydra_session",
-    "load_experiment",
-    "option_directories",
-    "options",
-    "refuse_resolvers",
-    "replaced",
-    "split_overrides",
-]
+    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "option_directories",
+    "options", "refuse_resolvers", "replaced", "split_overrides",
+]  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -256,12 +249,9 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
         plain = bool(equals and key) and key[0] not in "+~"
         sets = "." in key or value.startswith("{") or _is_value(key, plugins)
         if _NUMERAL.search(value) and key[0] != "~":
-            words = (
-                _each_word(value, _as_typed)
-                if sets and value[0] in "[{"
-                else _as_typed(value, sets)
-            )
-            override = f"{key}={words}"
+            several = sets and value[0] in "[{"
+            value = _each_word(value, _as_typed) if several else _as_typed(value, sets)
+            override = f"{key}={value}"
         result.append(f"++{override}" if plain and sets else override)
     return result
 
@@ -357,9 +347,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     given = typed(_as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied))
     for path in sorted(_missing(given)):
         raise ConfigError(_not_set(path, overrides, plugins))
-    with contextlib.suppress(
-        UnderstudyError
-    ):  # which is the reader's; this says what is taken as text
+    with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text
         if given != untyped(given):
             validate(given, plugins.registry)
     return untyped(given)

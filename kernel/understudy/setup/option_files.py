@@ -46,35 +46,30 @@ def parsed(override: str) -> Override:
     return OverridesParser.create().parse_overrides([override])[0]
 
 
-#: What stands for a :class:`Typed` while Hydra composes, in which there are no values but YAML's own.
-_MARK = re.compile("\ue000(.*?)\ue001(.*?)\ue002", re.DOTALL)
-_NAMED = {"True": True, "False": False}
+#: The values of marks, which stand for numbers as they are typed while Hydra composes: it takes YAML's values alone.
+_marks: dict[str, Any] = {}
 
 
 def marked(value: Any, text: str) -> Any:
     """`value`, or its mark where it is a number or a truth value and does not say that `text` was typed."""
-    plain = type(value) not in (bool, int, float) or as_yaml(value) == text
-    return value if plain else f"\ue000{value!r}\ue001{text}\ue002"
+    if type(value) not in (bool, int, float) or as_yaml(value) == text:
+        return value
+    _marks[mark := f"\ue000{text}\ue001"] = value
+    return mark
 
 
 def unmarked(text: str) -> str:
     """`text` with what was typed in place of marks."""
-    return _MARK.sub(r"\2", text)
+    return re.sub("\ue000(.*?)\ue001", r"\1", text)
 
 
 def typed(value: Any) -> Any:
-    """The nested `value` with a :class:`Typed` in place of every mark; keys become their text."""
+    """The nested `value` with a :class:`Typed` in place of every mark; in keys and in texts what was typed."""
     if isinstance(value, Mapping):
         return {unmarked(k) if isinstance(k, str) else k: typed(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [typed(item) for item in value]
-    mark = _MARK.fullmatch(value) if isinstance(value, str) else None
-    if mark is None:
-        return unmarked(value) if isinstance(value, str) else value
-    result, number = Typed(mark[2]), mark[1]
-    whole = number.lstrip("-").isdigit()
-    result.value = _NAMED[number] if number in _NAMED else (int if whole else float)(number)
-    return result
+    if not isinstance(value, str):
+        return list(map(typed, value)) if isinstance(value, list) else value
+    return Typed(_marks[value], unmarked(value)) if value in _marks else unmarked(value)
 
 
 class _Loader(get_yaml_loader()):
@@ -90,9 +85,8 @@ class _Files(FileConfigSource):
     """Hydra's, read by :class:`_Loader`."""
 
     def load_config(self, config_path: str) -> ConfigResult:
-        file = os.path.join(self.path, self._normalize_file_name(config_path))
-        with open(file, encoding="utf-8") as opened:
-            text = opened.read()
+        file = Path(self.path, self._normalize_file_name(config_path))
+        text = file.read_text(encoding="utf-8")
         config = OmegaConf.create(yaml.load(text, _Loader) or {})
         header = ConfigSource._get_header_dict(text[:512])
         return ConfigResult(self.provider, f"{self.scheme()}://{self.path}", config, header)

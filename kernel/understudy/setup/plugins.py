@@ -169,8 +169,7 @@ def kernel_conf() -> Path:
 
 
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
-    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot
-    be read."""
+    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot be read."""
     owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}

@@ -133,8 +133,7 @@ class Component:
 class Section:
     """A top-level part of the configuration that a plugin owns (for example ``motion``).
 
-    ``build(options, registry, inputs)`` makes the object that components find under
-    ``context.sections[name]``.
+    ``build(options, registry, inputs)`` makes the object that components find under ``context.sections[name]``.
     """
 
     name: str
