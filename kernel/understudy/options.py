@@ -10,14 +10,14 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED", "Option", "Typed", "as_yaml", "check_range", "checked_options", "in_words",
+    "REQUIRED", "Option", "as_yaml", "check_range", "checked_options", "in_words",
     "make_options", "options_of", "schema_of",
 ]  # fmt: skip
 
@@ -140,6 +140,17 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
     expected = " or ".join(dict.fromkeys(in_words(kind) for kind in kinds))
     return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.")
+
+
+def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key path in nested plain data, and what stands there."""
+    yield path, value
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from items(item, f"{path}.{key}".lstrip("."))
+    elif isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            yield from items(item, f"{path}[{i}]")
 
 
 def untyped(value: Any) -> Any:

@@ -339,10 +339,6 @@ class Training:
             return self.job.evaluate("final", episodes), None
         return self.job.record("final", episodes, record_seconds)
 
-    def judge_finer(self) -> tuple[float, Judgement] | None:
-        """As :meth:`judge`, on the same starts at half the time step of physics; and its rate in Hz."""
-        return self.job.evaluate_finer("final", self.experiment.root.evaluation.final_episodes)
-
     def _dump(self, name: str, state: State) -> None:
         """Write what led to numbers that went wrong into the run's ``faults/``."""
         assert self.run is not None

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
-from understudy.options import untyped
+from understudy.options import items, untyped
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import compose, marked, parsed, typed, unmarked
 from understudy.setup.plugins import Plugins, installed, kernel_conf
@@ -260,8 +260,7 @@ _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)"
 
 
 def _as_typed(word: str, sets: bool = True) -> str:
-    """`word`; as a number whose value does not say how it is typed, its mark in quotes, as one that names a file
-    (where it does not set a value) itself in quotes."""
+    """`word`; a number in quotes, where it is no value (`sets`), or a mark if its value does not say how it was typed."""
     value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
     mark = marked(value, word) if sets else word
     return word if mark == value else f"'{mark}'"
@@ -345,22 +344,12 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     assert isinstance(raw, dict)
     refuse_code(raw)
     given = typed(_as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied))
-    for path in sorted(_missing(given)):
+    for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
     with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text
         if given != untyped(given):
             validate(given, plugins.registry)
     return untyped(given)
-
-
-def _missing(value: Any, path: str = "") -> Iterator[str]:
-    """Where ``???`` stands in plain data."""
-    parts = value.items() if isinstance(value, Mapping) else ()
-    parts = enumerate(value) if isinstance(value, list) else parts
-    for key, part in parts:
-        yield from _missing(part, f"{path}.{key}".lstrip("."))
-    if value == "???":
-        yield path
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

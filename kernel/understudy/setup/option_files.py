@@ -30,7 +30,7 @@ from omegaconf._utils import get_yaml_loader
 
 from understudy.options import Typed, as_yaml
 
-__all__ = ["OptionFiles", "choices", "compose", "marked", "parsed", "typed", "unmarked"]
+__all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
 #: A file's path, time of change, size and number.
 State = tuple[str | int, ...]
@@ -81,22 +81,11 @@ class _Loader(get_yaml_loader()):
         return marked(value, node.value) if scalar else value
 
 
-class _Files(FileConfigSource):
-    """Hydra's, read by :class:`_Loader`."""
-
-    def load_config(self, config_path: str) -> ConfigResult:
-        file = Path(self.path, self._normalize_file_name(config_path))
-        text = file.read_text(encoding="utf-8")
-        config = OmegaConf.create(yaml.load(text, _Loader) or {})
-        header = ConfigSource._get_header_dict(text[:512])
-        return ConfigResult(self.provider, f"{self.scheme()}://{self.path}", config, header)
-
-
 class OptionFiles(ConfigRepository):
     """The files in `folders`, for one composition; one that has not changed is not parsed anew."""
 
     def __init__(self, folders: Iterable[Path]) -> None:
-        self.sources = [_Files("understudy", f"file://{folder}") for folder in folders]
+        self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
         self.states: dict[str, State | None] = {}  #: of what was asked for
         self._loaded: dict[str, ConfigResult | None] = {}
 
@@ -107,9 +96,13 @@ class OptionFiles(ConfigRepository):
         if config_path not in self._loaded:
             state = self.states[config_path] = self.state(config_path)
             if state and state not in _read:
-                _read[state] = found = super().load_config(config_path)
-                if found:
-                    found.is_schema_source = True  # for which Hydra seeks no schema
+                text = Path(str(state[0])).read_text(encoding="utf-8")
+                config = OmegaConf.create(yaml.load(text, _Loader) or {})
+                header = ConfigSource._get_header_dict(text[:512])
+                _read[state] = found = ConfigResult("understudy", str(state[0]), config, header)
+                found.is_schema_source = True  # for which Hydra seeks no schema
+                defaults = self._extract_defaults_list(config_path, config)
+                found.defaults_list = self._create_defaults_list(config_path, defaults)
             kept = _read[state] if state else None
             self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
         return self._loaded[config_path]

@@ -400,10 +400,12 @@ def test_a_file_of_options_takes_what_is_typed(word: str, tmp_path: Path) -> Non
         f"choice: {word}\nflag: on\n"
     )
     found = typed(OmegaConf.to_container(compose([tmp_path], ["+x=3"]), resolve=True))
-    within = {"true": "True"}.get(word, word)  # what OmegaConf makes of it within a text
     kinds = {"dir": str, "list": list[str], "again": str, "within": str, "rate": float,
              "choice": Literal["a", word], "x": int, "flag": bool}  # fmt: skip
-    assert coerce(found, dict[str, Any], "x")[word] == "y"
+    within = {"true": "True"}.get(
+        word, word
+    )  # what OmegaConf makes of it within a text, and Python of a key
+    assert coerce(found, dict[str, Any], "x")[within] == "y"
     assert {key: coerce(found[key], kind, key) for key, kind in kinds.items()} == {
         "dir": word, "list": [word, "x"], "again": word, "within": f"a/{within}.b", "rate": 0.001,
         "choice": word, "x": 3, "flag": True,
