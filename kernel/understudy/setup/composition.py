@@ -85,7 +85,7 @@ def readable(override: str) -> str:
     if structured:
         words = _each_word(value, lambda word: word if reads(word) else quoted(word))
         return f"{key}={words}" if reads(words) else override
-    return override if value.startswith(("{", "'", '"')) else f"{key}={quoted(value)}"
+    return override if value[0] in "{'\"" and not exists(value) else f"{key}={quoted(value)}"
 
 
 def _each_word(value: str, mend: Callable[[str], str]) -> str:
