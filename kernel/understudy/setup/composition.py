@@ -263,7 +263,7 @@ def _as_typed(word: str, sets: bool = True) -> str:
     """`word`; a number in quotes, where it is no value (`sets`), or a mark if its value does not say how it was typed."""
     value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
     mark = marked(value, word) if sets else word
-    return word if mark == value else f"'{mark}'"
+    return word if mark is value else f"'{mark}'"  # NaN equals nothing
 
 
 def split_overrides(

@@ -132,7 +132,7 @@ class AnglesReader(ClipReader):
         if named and not degrees:
             kept = _as_read(rows, words)
             rows, words = rows[:, kept], [words[n] for n in kept]
-        by_name = named and not degrees and plain_name(words[0]) == "time"
+        by_name = named and (plain_name(words[0]) == "time" or UNREAD.fullmatch(words[0]))
         timed = not degrees and _timed(rows, 8 if by_name else 9)
         if timed:  # by a column of times, s, or of frames' numbers
             rate = options.rate or _rate(path, rows[:, 0], rate)
