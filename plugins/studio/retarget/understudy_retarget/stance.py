@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -135,7 +136,7 @@ def _flat(above: Rotation, axes: np.ndarray) -> Rotation:
     return Rotation.from_euler("z", yaw[:, None]) * body.inv()
 
 
-def _pitched_feet(skeleton: Skeleton, figure: Figure, posed: _Posed) -> dict[int, Rotation]:
+def _pitched_feet(skeleton: Skeleton, figure: Figure, posed: _Posed) -> dict[int, Any]:
     """The joints of feet that point up or down in the zero pose of a figure whose legs stand in it, and how each is
     turned anew: by the pitch that the foot has, usually, while it is flat on the floor.
 
@@ -167,7 +168,8 @@ def _pitched_feet(skeleton: Skeleton, figure: Figure, posed: _Posed) -> dict[int
     least = -_ON_TOES if max(rises) < 0.5 * _PITCHED else -_PITCHED
     if np.ptp(pitches) > _STEADY or least <= pitch <= _PITCHED:
         return {}
-    return dict.fromkeys(joints, body * Rotation.from_euler("y", pitch) * body.inv())
+    level: Any = body * Rotation.from_euler("y", pitch) * body.inv()
+    return dict.fromkeys(joints, level)
 
 
 def _no_stance(figure: Figure, posed: _Posed) -> Iterator[str]:
