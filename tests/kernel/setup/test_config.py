@@ -352,6 +352,9 @@ def test_a_list_without_brackets_is_a_file_if_there_is_one(
         compose_raw(["experiment=spacetime/walk", override])
     Path("walk,run.bvh").touch()
     Path("3").touch()
+    Path("'x.bvh").touch()
+    quote = compose_raw(["experiment=spacetime/walk", "motion.file='x.bvh"])
+    assert quote["motion"]["file"] == "'x.bvh"  # which stays a sentence where there is no such file
     raw = compose_raw(["experiment=spacetime/walk", override, "seed=3"])
     assert (raw["motion"]["file"], raw["seed"]) == ("walk,run.bvh", 3)
 
