@@ -47,13 +47,7 @@ class Inputs:
         return self.folder / next(iter(self.kept[asked]))
 
     def folder_of(self, asked: str, source: Path, fill: Callable[[Path], None]) -> Path:
-        """The folder to read for what is `asked`: the run's copy, which `fill` writes, else `source`.
-
-        Raises
-        ------
-        RunError
-            as :meth:`file`.
-        """
+        """The folder to read for what is `asked`, as :meth:`file`: the run's copy, which `fill` writes, else `source`."""
         if asked in self.kept:
             return self.file(asked, list).parent
         self._fills[asked] = fill

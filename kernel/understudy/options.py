@@ -10,23 +10,16 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED",
-    "Option",
-    "as_yaml",
-    "check_range",
-    "checked_options",
-    "in_words",
-    "make_options",
-    "options_of",
-    "schema_of",
-]
+    "REQUIRED", "Option", "as_yaml", "check_range", "checked_options", "in_words",
+    "make_options", "options_of", "schema_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,6 +32,18 @@ class Option:
 
 
 REQUIRED: Any = inspect.Parameter.empty
+
+
+@dataclass(eq=False)
+class Typed:
+    """A number or a truth value of which its value does not say how it was typed: ``1e3``, ``0012``, ``on``."""
+
+    value: Any
+    text: str
+    taken: bool = False  #: whether an option took the text
+
+    def __repr__(self) -> str:
+        return self.text
 
 
 def options_of(factory: Any) -> dict[str, Option]:
@@ -77,15 +82,16 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 
     Knows the types that options use: bool, int, float, str, ``X | None``, ``Literal``, tuples and
     lists, mappings, nested dataclasses, and Any. Integers are accepted as floats, never the
-    reverse; NaN and infinity are never accepted.
+    reverse; NaN and infinity are never accepted. A number is text as it was typed.
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
-        return value
+        return untyped(value)
     if origin in (typing.Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
         attempts = [item for item in arguments if item is not type(None)]
+        attempts.sort(key=lambda item: item is str and isinstance(value, (int, float, Typed)))
         for item in attempts:
             try:
                 return coerce(value, item, where)
@@ -94,6 +100,10 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
                     if len(attempts) == 1 or isinstance(value, (list, tuple, Mapping)):
                         raise
                     raise _not_of(attempts, value, where) from None
+    if isinstance(value, (int, float, Typed)):
+        number = value if isinstance(value, Typed) else Typed(value, as_yaml(value))
+        number.taken |= annotation is str or (origin is typing.Literal and number.text in arguments)
+        value = untyped(number)
     if origin is typing.Literal:
         if value in arguments:
             return value
@@ -129,9 +139,27 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 
 def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
     expected = " or ".join(dict.fromkeys(in_words(kind) for kind in kinds))
-    text = str in kinds and isinstance(value, (int, float))
-    hint = f" As text it is quoted twice: {where}=\"'{as_yaml(value)}'\"." if text else ""
-    return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.{hint}")
+    return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.")
+
+
+def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key path in nested plain data, and what stands there."""
+    yield path, value
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from items(item, f"{path}.{key}".lstrip("."))
+    elif isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            yield from items(item, f"{path}[{i}]")
+
+
+def untyped(value: Any) -> Any:
+    """`value` with numbers for what was typed as one, unless an option took the text."""
+    if isinstance(value, Mapping):
+        return {key: untyped(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [untyped(item) for item in value]
+    return (value.text if value.taken else value.value) if isinstance(value, Typed) else value
 
 
 def as_yaml(value: Any) -> str:
@@ -237,8 +265,7 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are
-    errors."""
+    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

@@ -39,5 +39,4 @@ class Command(ABC):
 
     @abstractmethod
     def run(self, options: argparse.Namespace) -> int:
-        """Carry it out; returns the exit status. What the user can cause is raised as an
-        :class:`UnderstudyError`."""
+        """Carry it out; returns the exit status. What the user can cause is raised as an :class:`UnderstudyError`."""

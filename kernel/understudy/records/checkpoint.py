@@ -84,12 +84,8 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors, _Room())
     data = save_tensors(tensors)
-    content = {
-        "format": FORMAT,
-        "meta": dict(meta),
-        "state": tree,
-        "sha256": hashlib.sha256(data).hexdigest(),
-    }
+    digest = hashlib.sha256(data).hexdigest()
+    content = {"format": FORMAT, "meta": dict(meta), "state": tree, "sha256": digest}
     write_atomically(tensor_file, data)
     write_atomically(file, _sealed(content))
     del tensors, data
@@ -158,9 +154,8 @@ class _Room:
 
 def _sealed(content: Mapping[str, Any]) -> bytes:
     body = json.dumps(content, allow_nan=False)  # unsorted: in some mappings the order counts
-    return json.dumps(
-        {"digest": hashlib.sha256(body.encode()).hexdigest(), "content": body}
-    ).encode()
+    digest = hashlib.sha256(body.encode()).hexdigest()
+    return json.dumps({"digest": digest, "content": body}).encode()
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
@@ -189,12 +184,9 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Roo
         tensors[where] = torch.frombuffer(packed, dtype=torch.uint8)
         return {"deflated": [where, str(own.dtype), list(own.shape)]}
     if isinstance(value, Mapping):
-        return {
-            "map": {
-                str(k): _take_tensors(v, f"{where}/{k}" if where else str(k), tensors, room)
-                for k, v in value.items()
-            }
-        }
+        under = f"{where}/" if where else ""
+        found = {str(k): _take_tensors(v, f"{under}{k}", tensors, room) for k, v in value.items()}
+        return {"map": found}
     if isinstance(value, (list, tuple)):
         items = [_take_tensors(v, f"{where}/{i}", tensors, room) for i, v in enumerate(value)]
         return {"list": items}

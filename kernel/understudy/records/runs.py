@@ -263,6 +263,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
             "another one."
         ) from error
     used = {(c.kind, c.name): c for c in experiment.components()}
+    cited, registry = {c.plugin for c in used.values()}, experiment.registry
     facts = ("kind", "name", "plugin", "distribution", "version")
     run.info = {
         "layout": LAYOUT,
@@ -274,11 +275,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),
-        "citations": [
-            text
-            for (plugin, _), text in experiment.registry.citations.items()
-            if any(c.plugin == plugin for c in used.values())
-        ],
+        "citations": [text for (p, _), text in registry.citations.items() if p in cited],
         "inputs": inputs,
     }
     run.write_json("run.json", run.info)

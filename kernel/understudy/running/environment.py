@@ -22,7 +22,7 @@ from understudy.random import WorldStreams
 from understudy.running import promises
 from understudy.running.promises import Parts
 from understudy.running.rewards import Rewards
-from understudy.running.soundness import not_all_sound, rows, sound, without_unsound
+from understudy.running.soundness import rows, sound, without_unsound
 from understudy.running.statistics import EpisodeStatistics
 from understudy.running.step import Fault, Step
 from understudy.running.table import FieldTable
@@ -141,7 +141,7 @@ class Environment:
         self._resolve_fields(known_fields)
         self.episode_step = zeros((), torch.int64)
         self._nowhere, self._nothing = zeros((), torch.bool), zeros(())
-        self._unsound = zeros((), torch.bool)
+        self.unsound = zeros((), torch.bool)  #: worlds whose physics went wrong in this step
         self._streams = WorldStreams(seed, "initial_states", num_worlds, device)
         self._memory_streams = {
             name: WorldStreams(seed, f"memory/{name}", num_worlds, device)
@@ -287,15 +287,15 @@ class Environment:
         self._remember()
         self.action.copy_(action)
         table.put({"action": self.action})
-        self._unsound.zero_()
+        self.unsound.zero_()
         self._controls.clear()
         before = parts.simulator.snapshot() if self.on_quarantine else None
         self._simulate()
 
-        endings = {term.name: self._evaluate(term) for term in parts.terminations}
+        endings = {term.name: self.evaluate(term) for term in parts.terminations}
         seconds = table["episode_time"]
         outcomes: dict[str, Tensor] = {
-            "failure": self._unsound,
+            "failure": self.unsound,
             "truncation": seconds >= self._constants["episode_limit"] - 0.5 * self.control_dt,
             "success": self._nowhere,
             "report": self._nowhere,
@@ -307,8 +307,8 @@ class Environment:
         succeeded = outcomes["success"] & ~failed
         table.put({"failed": failed, "succeeded": succeeded, "violated": violated})
         rewards = self._reward()
-        reached = self._encode()
-        unsound = self._unsound | ~sound(rewards)
+        reached = self.encode()
+        unsound = self.unsound | ~sound(rewards)
         for value in reached.values():
             unsound = unsound | ~sound(value)
         failed, succeeded, violated = failed | unsound, succeeded & ~unsound, violated | unsound
@@ -338,7 +338,7 @@ class Environment:
     @_as_physics
     def measure(self) -> dict[str, Tensor]:
         """Each measure of the states reached, (N,) float32."""
-        return {term.name: self._evaluate(term).float() for term in self.parts.measures}
+        return {term.name: self.evaluate(term).float() for term in self.parts.measures}
 
     def _simulate(self) -> None:
         """One decision: control periods, of one or more sub-steps between controls."""
@@ -353,12 +353,12 @@ class Environment:
                 if control is None or applied is None or actuation.every != "decision":
                     control = self._control()
                     good = sound(control)
-                    self._unsound |= ~good
+                    self.unsound |= ~good
                     applied = torch.where(good.unsqueeze(1), control, 0.0)
                 if self.on_quarantine is not None:
                     self._controls.append(control.clone())
                 simulator.step(applied, length)
-                self._unsound |= simulator.failed()  # the next step may hide it
+                self.unsound |= simulator.failed()  # the next step may hide it
                 self.refresh()
             self.episode_step += 1
             self.refresh()
@@ -410,26 +410,15 @@ class Environment:
                 )
             self.table.put({name: kept})
 
-    def _evaluate(self, term: Term) -> Tensor:
+    def evaluate(self, term: Term) -> Tensor:
         return term.function(**self.table.pick(term.reads), **term.options)
 
     def _reward(self) -> Tensor:
-        values = [self._evaluate(term) for term in self.parts.rewards]
+        values = [self.evaluate(term) for term in self.parts.rewards]
         reward, self.rewarded = self.rewards.combined(values)
         return reward
 
-    def unsound_parts(self) -> list[str]:
-        """Whose numbers went wrong in the states reached by :meth:`advance`, before :meth:`begin`."""
-        if bool(self._unsound.any()):
-            return ["the actuation or the simulator"]
-        terms = self.parts.rewards
-        reward, given = self.rewards.combined([self._evaluate(term) for term in terms])
-        values = {term.where: given[term.name] for term in terms}
-        values |= {self.parts.encoders[n].where: value for n, value in self._encode().items()}
-        values = values if any(map(not_all_sound, values.values())) else {"reward": reward}
-        return [where for where, value in values.items() if not_all_sound(value)]
-
-    def _encode(self) -> dict[str, Tensor]:
+    def encode(self) -> dict[str, Tensor]:
         return {
             name: encoder.part.encode(**self.table.pick(encoder.reads))
             for name, encoder in self.parts.encoders.items()
@@ -437,7 +426,7 @@ class Environment:
 
     def _first(self) -> dict[str, Tensor]:
         """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
-        return {name: without_unsound(value) for name, value in self._encode().items()}
+        return {name: without_unsound(value) for name, value in self.encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:
         self.statistics.returns.masked_fill_(worlds, 0.0)

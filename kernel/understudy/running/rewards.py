@@ -10,7 +10,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from understudy.errors import TrainingError
 from understudy.task.terms import Term
 
 
@@ -33,8 +32,7 @@ class Rewards:
         }
 
     def combined(self, values: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The reward of the terms' `values`, each (N,); and by term what it adds to it, or multiplies
-        it with."""
+        """The reward of the terms' `values`, each (N,); and by term what it adds to it, or multiplies it with."""
         given: dict[str, Tensor] = {}
         for term, value in zip(self._terms, values, strict=True):
             if term.where in self.least:
@@ -46,14 +44,3 @@ class Rewards:
             given[term.name] = value
         join = operator.add if self._summed else operator.mul
         return functools.reduce(join, given.values()), given
-
-    def refuse_negative(self) -> None:
-        """Raise :class:`TrainingError` if a reward that has an exponent has been negative."""
-        for where, least in self.least.items():
-            world = int(least.argmin())
-            if least[world] < 0:
-                raise TrainingError(
-                    f"{where} was {float(least[world]):g} in world {world}. With reward.combine=product "
-                    "its weight is an exponent, which a negative number cannot have. Use "
-                    f"reward.combine=sum, {where}.weight=1, or a term that is never negative."
-                )

@@ -22,11 +22,6 @@ def sound(value: Tensor) -> Tensor:
     return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
 
 
-def not_all_sound(value: Tensor) -> bool:
-    """Whether any row of `value` (N, …) is not :func:`sound`. Waits for the device."""
-    return not bool(sound(value).all())
-
-
 def without_unsound(value: Tensor) -> Tensor:
     """`value` (N, …), 0 in the rows where a number is not finite or of no sane size."""
     return torch.where(rows(sound(value), value), value, 0) if value.is_floating_point() else value

@@ -15,8 +15,7 @@ from understudy.task.terms import Wired
 class FieldTable:
     """Values of state fields at the present state.
 
-    Fields come from the simulator, from the environment (`own`), or from providers, which read other
-    fields.
+    Fields come from the simulator, from the environment (`own`), or from providers, which read other fields.
 
     Raises
     ------

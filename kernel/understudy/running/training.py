@@ -1,8 +1,7 @@
 """The loop of every run: iterate a job, record, evaluate now and then, and stop for a reason.
 
-The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`,
-so a run that is stopped at any moment continues from its last checkpoint as if it had never
-stopped; on the CPU, to the last bit.
+The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`, so a run that is
+stopped at any moment continues from its last checkpoint as if it had never stopped; on the CPU, to the last bit.
 """
 
 from __future__ import annotations
@@ -339,10 +338,6 @@ class Training:
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
         return self.job.record("final", episodes, record_seconds)
-
-    def judge_finer(self) -> tuple[float, Judgement] | None:
-        """As :meth:`judge`, on the same starts at half the time step of physics; and its rate in Hz."""
-        return self.job.evaluate_finer("final", self.experiment.root.evaluation.final_episodes)
 
     def _dump(self, name: str, state: State) -> None:
         """Write what led to numbers that went wrong into the run's ``faults/``."""

@@ -14,24 +14,18 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from understudy.errors import ConfigError, suggestion
+from understudy.errors import ConfigError, UnderstudyError, suggestion
+from understudy.options import items, untyped
 from understudy.setup.config import Experiment
-from understudy.setup.option_files import compose, parsed
+from understudy.setup.option_files import compose, marked, parsed, typed, unmarked
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw",
-    "for_hydra",
-    "hydra_session",
-    "load_experiment",
-    "option_directories",
-    "options",
-    "refuse_resolvers",
-    "replaced",
-    "split_overrides",
-]
+    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "option_directories",
+    "options", "refuse_resolvers", "replaced", "split_overrides",
+]  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -91,7 +85,7 @@ def readable(override: str) -> str:
     if structured:
         words = _each_word(value, lambda word: word if reads(word) else quoted(word))
         return f"{key}={words}" if reads(words) else override
-    return override if value.startswith(("{", "'", '"')) else f"{key}={quoted(value)}"
+    return override if value[0] in "{'\"" and not exists(value) else f"{key}={quoted(value)}"
 
 
 def _each_word(value: str, mend: Callable[[str], str]) -> str:
@@ -109,7 +103,7 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
         elif "=" in word and (sign in "[{" or depth):
             depth += (sign in "[{") - (sign in "]}")
         elif sign in "[]{}," or (sign == ":" and within[-1] == "{"):
-            result, word = result + ended() + sign, ""
+            result, word = result + (word if sign == ":" else ended()) + sign, ""
             within += [sign] if sign in "[{" else []
             within = within[:-1] if sign in "]}" and len(within) > 1 else within
             continue
@@ -184,7 +178,8 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
-    text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    lines = unmarked(str(error)).splitlines()
+    text = next((line.strip() for line in lines if line.strip()), "")
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:
         return _not_set(unset[1], overrides, plugins)
@@ -253,8 +248,22 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
         key, equals, value = override.partition("=")
         plain = bool(equals and key) and key[0] not in "+~"
         sets = "." in key or value.startswith("{") or _is_value(key, plugins)
+        if _NUMERAL.search(value) and key[0] != "~":
+            several = sets and value[0] in "[{"
+            value = _each_word(value, _as_typed) if several else _as_typed(value, sets)
+            override = f"{key}={value}"
         result.append(f"++{override}" if plain and sets else override)
     return result
+
+
+_NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)", re.IGNORECASE)
+
+
+def _as_typed(word: str, sets: bool = True) -> str:
+    """`word`; a number in quotes, where it is no value (`sets`), or a mark if its value does not say how it was typed."""
+    value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
+    mark = marked(value, word) if sets else word
+    return word if mark is value else f"'{mark}'"  # NaN equals nothing
 
 
 def split_overrides(
@@ -334,20 +343,13 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
-    for path in sorted(_missing(given)):
+    given = typed(_as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied))
+    for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
-    return given
-
-
-def _missing(value: Any, path: str = "") -> Iterator[str]:
-    """Where ``???`` stands in plain data."""
-    parts = value.items() if isinstance(value, Mapping) else ()
-    parts = enumerate(value) if isinstance(value, list) else parts
-    for key, part in parts:
-        yield from _missing(part, f"{path}.{key}".lstrip("."))
-    if value == "???":
-        yield path
+    with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text
+        if given != untyped(given):
+            validate(given, plugins.registry)
+    return untyped(given)
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

@@ -9,10 +9,13 @@ from __future__ import annotations
 import copy
 import functools
 import os
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from stat import S_ISREG
+from typing import Any
 
+import yaml
 from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
@@ -21,8 +24,11 @@ from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.defaults_list import DefaultsList, create_defaults_list
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.plugins.config_source import ConfigResult
+from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
+from omegaconf._utils import get_yaml_loader
+
+from understudy.options import Typed, as_yaml
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
@@ -40,6 +46,41 @@ def parsed(override: str) -> Override:
     return OverridesParser.create().parse_overrides([override])[0]
 
 
+#: The values of marks, which stand for numbers as they are typed while Hydra composes: it takes YAML's values alone.
+_marks: dict[str, Any] = {}
+
+
+def marked(value: Any, text: str) -> Any:
+    """`value`, or its mark where it is a number or a truth value and does not say that `text` was typed."""
+    if type(value) not in (bool, int, float) or as_yaml(value) == text:
+        return value
+    _marks[mark := f"\ue000{text}\ue001"] = value
+    return mark
+
+
+def unmarked(text: str) -> str:
+    """`text` with what was typed in place of marks."""
+    return re.sub("\ue000(.*?)\ue001", r"\1", text)
+
+
+def typed(value: Any) -> Any:
+    """The nested `value` with a :class:`Typed` in place of every mark; in keys and in texts what was typed."""
+    if isinstance(value, Mapping):
+        return {unmarked(k) if isinstance(k, str) else k: typed(v) for k, v in value.items()}
+    if not isinstance(value, str):
+        return list(map(typed, value)) if isinstance(value, list) else value
+    return Typed(_marks[value], unmarked(value)) if value in _marks else unmarked(value)
+
+
+class _Loader(get_yaml_loader()):
+    """OmegaConf's, of plain scalars as they are typed."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        value = super().construct_object(node, deep)
+        scalar = isinstance(node, yaml.ScalarNode) and node.style is None
+        return marked(value, node.value) if scalar else value
+
+
 class OptionFiles(ConfigRepository):
     """The files in `folders`, for one composition; one that has not changed is not parsed anew."""
 
@@ -55,9 +96,13 @@ class OptionFiles(ConfigRepository):
         if config_path not in self._loaded:
             state = self.states[config_path] = self.state(config_path)
             if state and state not in _read:
-                _read[state] = found = super().load_config(config_path)
-                if found:
-                    found.is_schema_source = True  # for which Hydra seeks no schema
+                text = Path(str(state[0])).read_text(encoding="utf-8")
+                config = OmegaConf.create(yaml.load(text, _Loader) or {})
+                header = ConfigSource._get_header_dict(text[:512])
+                _read[state] = found = ConfigResult("understudy", str(state[0]), config, header)
+                found.is_schema_source = True  # for which Hydra seeks no schema
+                defaults = self._extract_defaults_list(config_path, config)
+                found.defaults_list = self._create_defaults_list(config_path, defaults)
             kept = _read[state] if state else None
             self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
         return self._loaded[config_path]

@@ -130,6 +130,7 @@ def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> No
 def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> None:
     """Register what the plugin's module, which `find` gives, declares."""
     manager = pluggy.PluginManager(GROUP)  # one each, so that no other's hook is called again
+    manager.add_hookspecs(Hooks)
     try:
         module = find()
         hooked = [item for item in dir(module) if item.startswith("understudy_")]
@@ -140,14 +141,12 @@ def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> Non
                 )
             if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):
                 raise PluginError(f"its '{item}' is no function marked with @understudy.hookimpl.")
+        manager.register(module)
+        manager.check_pending()
         register = Registrar(plugins.registry, plugin.name, plugin.distribution, plugin.version)
         if not hooked or "REQUIRES" in dir(module):  # else its constants may be its own
             register.tables(module)
-        if hooked:  # for which pluggy looks at everything in the module
-            manager.add_hookspecs(Hooks)
-            manager.register(module)
-            manager.check_pending()
-            manager.hook.understudy_register(register=register)
+        manager.hook.understudy_register(register=register)
         plugins.loaded.append(replace(plugin, config_directory=_conf(module)))
     except BaseException as error:  # a stranger's import, or registration, may raise anything
         if is_stop(error):
@@ -170,8 +169,7 @@ def kernel_conf() -> Path:
 
 
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
-    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot
-    be read."""
+    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot be read."""
     owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}

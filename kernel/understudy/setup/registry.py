@@ -133,8 +133,7 @@ class Component:
 class Section:
     """A top-level part of the configuration that a plugin owns (for example ``motion``).
 
-    ``build(options, registry, inputs)`` makes the object that components find under
-    ``context.sections[name]``.
+    ``build(options, registry, inputs)`` makes the object that components find under ``context.sections[name]``.
     """
 
     name: str
@@ -268,9 +267,8 @@ class Registrar:
             raise PluginError(
                 f"Plugin '{self.plugin}' registers {target!r} as the {kind} '{name}'."
             )
-        self.registry.add(
-            Component(kind, name, target, self.plugin, self.distribution, self.version, summary)
-        )
+        origin = (self.plugin, self.distribution, self.version)
+        self.registry.add(Component(kind, name, target, *origin, summary))
 
     def tables(self, module: Any) -> None:
         """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it has them.

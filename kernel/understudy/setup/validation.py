@@ -12,7 +12,15 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import Option, as_yaml, checked_options, filled, make_options, options_of
+from understudy.options import (
+    Option,
+    as_yaml,
+    checked_options,
+    filled,
+    items,
+    make_options,
+    options_of,
+)
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import KEYS, Root
@@ -69,18 +77,13 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
     _ = experiment.failures
     if root.reward.combine == "product":
         for term in experiment.many("reward.terms"):
-            _refuse_negative(term)
+            low, high = getattr(term.component.factory, "range", (0.0, math.inf))
+            if low < 0:
+                raise ConfigError(
+                    f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, and "
+                    "reward.combine=product takes no negative terms. Use reward.combine=sum, or another term."
+                )
     return experiment
-
-
-def _refuse_negative(term: Chosen) -> None:
-    """Raise :class:`ConfigError` for a term of a product that says it can be negative."""
-    low, high = getattr(term.component.factory, "range", (0.0, math.inf))
-    if low < 0:
-        raise ConfigError(
-            f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, and "
-            "reward.combine=product takes no negative terms. Use reward.combine=sum, or another term."
-        )
 
 
 def root_keys(registry: Registry) -> set[str]:
@@ -164,17 +167,11 @@ def _named(value: Any, where: str) -> tuple[str, dict[str, Any]]:
 CODE_KEYS = frozenset({"_target_", "_partial_", "_args_", "_recursive_", "_convert_"})
 
 
-def refuse_code(value: Any, where: str = "") -> None:
+def refuse_code(value: Any) -> None:
     """Raise :class:`ConfigError` if any key in the nested `value` could name code."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            path = f"{where}.{key}" if where else str(key)
-            if key in CODE_KEYS:
-                raise ConfigError(
-                    f"{path}: configurations name registered components (name: …) and never Python code. "
-                    "Remove the key; `understudy plugins` lists what can be named."
-                )
-            refuse_code(item, path)
-    elif isinstance(value, (list, tuple)):
-        for i, item in enumerate(value):
-            refuse_code(item, f"{where}[{i}]")
+    for path, _ in items(value):
+        if path.rpartition(".")[2] in CODE_KEYS:
+            raise ConfigError(
+                f"{path}: configurations name registered components (name: …) and never Python code. "
+                "Remove the key; `understudy plugins` lists what can be named."
+            )

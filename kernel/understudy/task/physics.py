@@ -99,8 +99,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        """Advance every world by one control period, or by `substeps` physics steps, under
-        `control` (N, U)."""
+        """Advance every world by one control period, or by `substeps` physics steps, under `control` (N, U)."""
 
     @abstractmethod
     def failed(self) -> Tensor:
@@ -109,8 +108,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of everything that decides the future, varied parameters too, each (N, …), in full
-        precision."""
+        """A copy of everything that decides the future, varied parameters too, each (N, …), in full precision."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:

@@ -21,7 +21,7 @@ from understudy.setup.plugins import Plugins
 from understudy.task.terms import ranges
 from understudy.testing import check_environment, check_simulator
 from understudy.testing.fake import FAKE_TASK
-from understudy_reinforcement.hopeless import Hopeless
+from understudy_reinforcement.hopeless import Hopeless, refuse_negative
 
 TASK = (
     *FAKE_TASK,
@@ -539,7 +539,7 @@ def test_the_weight_in_a_product_is_an_exponent() -> None:
         environment.reset()
     assert push(product).rewards.tolist() == pytest.approx([3.0**2.5] * 4)
     assert push(total).rewards.tolist() == pytest.approx([7.5] * 4)
-    product.rewards.refuse_negative()
+    refuse_negative(product)
 
 
 @pytest.mark.parametrize(
@@ -560,10 +560,10 @@ def test_a_negative_reward_with_an_exponent_is_named_with_world_and_value(
     push(environment, 1.0, 1.0, -7.0 - low, 1.0)
     push(environment, 9.0, 9.0, 9.0, 9.0)  # what has been is not forgotten
     if not refused:
-        environment.rewards.refuse_negative()
+        refuse_negative(environment)
         return
     with pytest.raises(TrainingError) as error:
-        environment.rewards.refuse_negative()
+        refuse_negative(environment)
     value = float(environment.rewards.least["reward.terms.lean"][2])
     assert value < 0
     for part in ("reward.terms.lean", f"{value:g}", "world 2", "reward.combine=sum"):

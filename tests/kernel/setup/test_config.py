@@ -3,17 +3,20 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import counted_task
 import pytest
 from counted_task import LINE_TASK, install, line_plugins
+from omegaconf import OmegaConf
 from worlds import SMALL, make_training
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
+from understudy.options import coerce
 from understudy.setup.composition import compose_raw, load_experiment, readable, replaced
-from understudy.setup.plugins import Plugins, load
+from understudy.setup.option_files import compose, marked, typed
+from understudy.setup.plugins import Plugins, installed, load
 from understudy.setup.root import Root
 from understudy.setup.validation import refuse_code, validate
 from understudy.testing import fake
@@ -174,7 +177,7 @@ def test_the_command_shows_defaults(
     [
         ("seed=x", r"^seed='x' is not possible: it takes a whole number\.$"),
         ("termination.terms=null", r"^termination\.terms=null is not possible"),
-        ("evaluation.success=3", r"^evaluation\.success=3 is not possible"),
+        ("evaluation.success=[3]", r"^evaluation\.success=\[3\] is not possible"),
         ("evaluation.success={measure: at}", r"^evaluation\.success.*at_least and at_most are both unset: give one of them\.$"),
         ("evaluation.success={mesure: at, at_least: 1}", r"^evaluation\.success has no option 'mesure'\. Did you mean 'measure'\?$"),
         ("evaluation.objective=speed", r"^evaluation\.objective names 'speed', which is no measure of this task\."),
@@ -185,7 +188,7 @@ def test_the_command_shows_defaults(
         ("start={run: a, parts: [actr]}", r"^start\.parts\[0\]='actr' is not possible\. Did you mean 'actor'\?$"),
         ("+measure.at={name: line/value, reduce: median}", r"^measure\.at\.reduce='median' is not possible"),
         ("+reward.terms.near.reads=qpos", r"^reward\.terms\.near\.reads='qpos' is not possible"),
-        ("+reward.terms.near.reads={qpos: 3}", r"^reward\.terms\.near\.reads\.qpos=3 is not possible"),
+        ("+reward.terms.near.reads={qpos: null}", r"^reward\.terms\.near\.reads\.qpos=null is not possible"),
         ("+initial_states.reads={a: b}", r"^initial_states has no option 'reads'"),
         ("+reward.terms.near.wieght=2", r"^reward\.terms\.near has no option 'wieght'\. Did you mean 'weight'\?$"),
         ("+termination.terms.far.outcom=success", r"^termination\.terms\.far has no option 'outcom'\. Did you mean 'outcome'\?$"),
@@ -349,6 +352,9 @@ def test_a_list_without_brackets_is_a_file_if_there_is_one(
         compose_raw(["experiment=spacetime/walk", override])
     Path("walk,run.bvh").touch()
     Path("3").touch()
+    Path("'x.bvh").touch()
+    quote = compose_raw(["experiment=spacetime/walk", "motion.file='x.bvh"])
+    assert quote["motion"]["file"] == "'x.bvh"  # which stays a sentence where there is no such file
     raw = compose_raw(["experiment=spacetime/walk", override, "seed=3"])
     assert (raw["motion"]["file"], raw["seed"]) == ("walk,run.bvh", 3)
 
@@ -369,9 +375,58 @@ def test_text_like_a_reference_has_a_backslash() -> None:
     assert raw["motion"]["file"] == "${x}.bvh"
 
 
-def test_a_number_where_text_is_wanted() -> None:
-    with pytest.raises(ConfigError, match=r"quoted twice: run\.dir=\"'true'\""):
-        load_experiment(["experiment=spacetime/walk", "run.dir=true"])
-    with pytest.raises(ConfigError, match=r"As text it is quoted twice: run\.dir=\"'2024'\""):
-        load_experiment(["experiment=spacetime/walk", "run.dir=2024"])
-    assert load_experiment(["experiment=spacetime/walk", "run.dir='2024'"]).root.run.dir == "2024"
+#: Words in which YAML or Hydra find a number or a truth value.
+NUMERALS = ["2024", "0012", "00", "1e3", "1E3", "1_000", "+5", "-5", ".5", "5.", "1.50", "1e400", "true",
+            "True", "FALSE", "inf", "NaN", "-inf", "0x10", "9" * 30]  # fmt: skip
+IN_FILES = ["on", "No", "12:30", "0b11", "-.inf", "2024-01-05", "1:30.5"]
+
+
+@pytest.mark.parametrize("word", [*NUMERALS, *IN_FILES])
+def test_an_option_that_takes_text_takes_what_was_typed(word: str) -> None:
+    words = ["experiment=spacetime/walk", f"run.dir={word}", f"++motion.name={word}"]
+    listed = f"policy.feedback.observation=[{word}, x]"
+    experiment = load_experiment(
+        [*words, listed, f"reward.terms.survival.reads={{failed: {word}}}"]
+    )
+    assert experiment.root.run.dir == experiment.sections["motion"].name == word
+    assert experiment.need("policy").options.feedback.observation == (word, "x")
+    assert experiment.many("reward.terms")[0].extras["reads"] == {"failed": word}
+    raw = compose_raw([*words[:2], "seed=1e3", "budget.minutes=.5"])
+    assert validate(raw, installed().registry).root.run.dir == word  # what a run keeps is no other
+    assert (raw["seed"], raw["budget"]["minutes"]) == (1000, 0.5)
+
+
+@pytest.mark.parametrize("word", [*NUMERALS, *IN_FILES])
+def test_a_file_of_options_takes_what_is_typed(word: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(
+        f"dir: {word}\nlist: [{word}, x]\n{word}: y\nagain: ${{dir}}\nwithin: a/${{dir}}.b\nrate: 1e-3\n"
+        f"choice: {word}\nflag: on\n"
+    )
+    found = typed(OmegaConf.to_container(compose([tmp_path], ["+x=3"]), resolve=True))
+    kinds = {"dir": str, "list": list[str], "again": str, "within": str, "rate": float,
+             "choice": Literal["a", word], "x": int, "flag": bool}  # fmt: skip
+    within = {"true": "True"}.get(
+        word, word
+    )  # what OmegaConf makes of it within a text, and Python of a key
+    assert coerce(found, dict[str, Any], "x")[within] == "y"
+    assert {key: coerce(found[key], kind, key) for key, kind in kinds.items()} == {
+        "dir": word, "list": [word, "x"], "again": word, "within": f"a/{within}.b", "rate": 0.001,
+        "choice": word, "x": 3, "flag": True,
+    }  # fmt: skip
+
+
+def test_what_else_an_option_takes_it_takes_first() -> None:
+    number = typed(marked(1000.0, "1e3"))
+    assert coerce(number, str | float, "x") == coerce(number, float | str | None, "x") == 1000.0
+    assert coerce(True, str | bool, "x") is True
+    assert coerce(number, Any, "x") == 1000.0
+    assert coerce({"a": [number]}, Any, "x") == {"a": [1000.0]}
+    assert coerce(None, str | None, "x") is None
+    with pytest.raises(ConfigError, match=r"^x=1000\.0 is not possible: it takes a list of text"):
+        coerce(number, tuple[str, ...], "x")
+
+
+def test_a_number_names_a_file_of_options() -> None:
+    for word in ("2024", "1e3", "true"):
+        with pytest.raises(ConfigError, match=rf"^There is no experiment={word}\."):
+            compose_raw([f"experiment={word}"])

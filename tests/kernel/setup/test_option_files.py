@@ -7,9 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
+from understudy.options import untyped
 from understudy.setup.composition import compose_raw, option_directories
-from understudy.setup.option_files import OptionFiles, compose, parsed
+from understudy.setup.option_files import OptionFiles, compose, parsed, typed
 from understudy.setup.plugins import Plugins
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -107,7 +109,8 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
 )
 def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
     folders = option_directories(plugins)
-    assert compose(folders, overrides) == hydras(folders, overrides)
+    ours = OmegaConf.to_container(compose(folders, overrides))
+    assert untyped(typed(ours)) == OmegaConf.to_container(hydras(folders, overrides))
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:
@@ -120,4 +123,5 @@ def test_a_choice_may_follow_another(tmp_path: Path) -> None:
     for overrides, other in (([], "other-a"), (["part=b"], "other-b"), ([], "other-a")):
         found = compose([tmp_path], overrides)
         assert found.other.x == other
-        assert found == hydras([tmp_path, tmp_path], overrides)
+        plain = OmegaConf.to_container(found)
+        assert plain == OmegaConf.to_container(hydras([tmp_path, tmp_path], overrides))

@@ -103,7 +103,7 @@ def test_coerce(value: Any, annotation: Any, result: Any) -> None:
 @pytest.mark.parametrize(
     ("value", "annotation", "where"),
     [
-        (True, int, "here=true"), (1.5, int, "here=1.5"), (1, bool, "here=1"), (1, str, "here=1"), ("1", float, "here='1'"),
+        (True, int, "here=true"), (1.5, int, "here=1.5"), (1, bool, "here=1"), (None, str, "here=null"), ([1, [2]], list[str], r"here\[1\]=\[2\]"), ("1", float, "here='1'"),
         (float("nan"), float, "here=nan"), (float("inf"), float, "here=inf"), (None, float, "here=null"),
         ([1, "a"], tuple[float, ...], r"here\[1\]='a'"), ([1], tuple[int, str], "here takes 2 values, got 1"),
         ({"a": "b"}, Mapping[str, float], r"here\.a='b'"), ("z", Literal["x", "y"], "here='z'"),

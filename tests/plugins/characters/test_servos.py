@@ -15,7 +15,7 @@ from robots import MOTORS, robot_file, robot_xml
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.task import Context
-from understudy_characters.character import Character
+from understudy_characters.character import Character, character_spec
 from understudy_characters.scene import CharacterScene
 from understudy_characters.servos import (
     ServoOptions,
@@ -145,7 +145,7 @@ def test_servos_keep_their_damping_at_other_time_steps() -> None:
     ("change", "reason"),
     [
         (('axis="0 0 1"/>\n    <geom type="box" size=".08', 'type="slide"/>\n    <geom type="box" size=".08'), "the joint 'waist', along which it slides"),
-        (("<freejoint/>", ""), "none of its bodies has a freejoint"),
+        (("<freejoint/>", '<joint name="rail" type="slide" axis="1 0 0"/>'), "none of its bodies has a freejoint"),
         (('name="waist"', 'name="waist" ref="0.3"'), "reference angle .* Let ref be 0"),
     ],
 )  # fmt: skip
@@ -157,6 +157,20 @@ def test_what_is_no_character_is_refused(
     file.write_text(robot_xml().replace(*change))
     with pytest.raises(ConfigError, match=reason):
         scene_of(file)
+
+
+def test_a_root_without_a_freejoint_is_freed(tmp_path: Path) -> None:
+    """As of a model to be mounted: it stood fixed in the world, and was refused."""
+    spec = mujoco.MjSpec.from_string(robot_xml())
+    hinges = spec.compile().nq - 7
+    key = f'<keyframe><key name="home" qpos="{" ".join(["0.1"] * hinges)}"/></keyframe></mujoco>'
+    file = tmp_path / "mounted.xml"
+    file.write_text(robot_xml().replace("<freejoint/>", "").replace("</mujoco>", key))
+    with pytest.warns(UserWarning, match="Model 'mounted' has no freejoint"):
+        model = character_spec(str(file), installed().registry)[1].compile()
+    assert model.nq == 7 + hinges
+    assert model.key("home").qpos[7:].tolist() == pytest.approx([0.1] * hinges)
+    assert model.key("home").qpos[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
 def test_a_light_limb_does_not_shake(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ MISTAKES = {
     f"train {WALK} learner.gamma=high": "learner.gamma='high' is not possible: it takes a number.",
     f"train {WALK} scene.self_collision=maybe": "it takes true or false.",
     f"train {WALK} policy.feedback.hidden=64": "it takes a list of whole numbers.",
-    f"train {WALK} policy.feedback.observation=3": "it takes text or a list of text.",
+    f"train {WALK} policy.feedback.observation=3": "Add encoder.3={name: …}",
     f"train {WALK} policy.feedback.observation=[state,extra]": "Add encoder.extra={name: …}",
     "compare one": "A comparison is of two runs or more: understudy compare RUN RUN.",
     "runs nosuch": "nosuch is no folder. Name one that holds runs.",

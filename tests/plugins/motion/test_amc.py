@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from understudy.errors import ConfigError, FileError
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics, tip_positions
+from understudy_motion.library import data_folder
 from understudy_motion.readers.amc import AmcReader
 from understudy_motion.reading import ReadOptions
 from understudy_tensors import rotations
@@ -387,3 +389,50 @@ def test_the_same_take_by_another_route() -> None:
         one = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
         bends = torch.stack([rotations.angle_between(q, one.expand_as(q)) for q in (mine, given)])
         assert torch.corrcoef(bends)[0, 1] > 0.95
+
+
+@pytest.mark.parametrize("name", ["01_01", "02_01", "03_01"])
+def test_files_that_leave_units_open(tmp_path: Path, name: str) -> None:
+    """Without :units the figure was 0.7 m tall, silently; and without a header radians were degrees."""
+    asf, amc = (tmp_path / f"{name[:2]}.asf", tmp_path / f"{name}.amc")
+    folder = data_folder()
+    if folder is None or not (folder / "motions" / "cmu" / amc.name).exists():
+        pytest.skip("clips of CMU are not here")
+    own = folder / "motions" / "cmu"
+    skeleton, motion = (own / asf.name).read_text(), (own / amc.name).read_text()
+    expected = read(own / amc.name)
+    bare = re.sub(r":units\n(\s+.*\n)+?(?=:)", "", skeleton)
+    assert ":units" in skeleton
+    assert ":units" not in bare
+    headless = re.sub(r"^[#:].*\n", "", motion, flags=re.MULTILINE)
+
+    def radians(match: re.Match[str]) -> str:
+        bone, *values = match[0].split()
+        kept = values[:3] if bone == "root" else []
+        turned = [f"{math.radians(float(value)):.7f}" for value in values[len(kept) :]]
+        return " ".join([bone, *kept, *turned])
+
+    turned = re.sub(r"^[a-z]+ .*$", radians, headless, flags=re.MULTILINE)
+    said = skeleton.replace("angle deg", "angle rad")
+    axes = re.sub(
+        r"^(\s*axis|\s*orientation)((?: \S+){3})",
+        lambda m: m[1] + "".join(f" {math.radians(float(v)):.8f}" for v in m[2].split()),
+        said,
+        flags=re.MULTILINE,
+    )
+    for figure, frames in ((bare, motion), (bare, headless), (bare, turned), (axes, turned)):
+        asf.write_text(figure)
+        amc.write_text(frames)
+        clip = read(amc)
+        torch.testing.assert_close(clip.root_position, expected.root_position, atol=1e-5, rtol=0)
+        alike = (clip.rotations * expected.rotations).sum(dim=-1).abs()
+        assert alike.min() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_unit_that_nothing_shows_is_asked_for(tmp_path: Path) -> None:
+    path = write_amc(tmp_path)
+    skeleton = tmp_path / "small.asf"
+    skeleton.write_text(ASF.replace("  length 0.45\n", ""))
+    with pytest.raises(FileError, match=r"no section :units.*give motion\.unit"):
+        read(path)
+    assert read(path, unit="cm").root_position[0, 2] == pytest.approx(0.175)

@@ -105,3 +105,30 @@ def test_a_height_in_centimetres_is_said_as_such(tmp_path: Path) -> None:
     numbers = f"0,10,80,{','.join(LYING[part] for part in 'xyzw')},0.1,-0.2"
     with pytest.raises(FileError, match=r"80 m from the floor; .* \(--unit\), as cm"):
         read(tmp_path, numbers, numbers)
+
+
+@pytest.mark.parametrize(
+    ("place", "first"),
+    [(0, ()), (7, ()), (-1, ()), (0, ("",)), (0, ("frame",)), (1, ("frame",)), (None, ("index",))],
+)
+@pytest.mark.parametrize("hinges", [0, 3])
+def test_columns_of_times_and_numbers_are_no_hinges(
+    tmp_path: Path, place: int | None, first: tuple[str, ...], hinges: int
+) -> None:
+    """A column called time that was not the first, or of a root alone, was an angle, silently."""
+    names = ["root_x", "root_y", "root_z", "root_qx", "root_qy", "root_qz", "root_qw"]
+    names += [f"knee_{n}" for n in range(hinges)]
+    rows = [[0.02 * f, 0.0, 0.9, 0.0, 0.0, 0.6, 0.8, *[0.1 * f] * hinges] for f in range(6)]
+    if place is not None:
+        at = len(names) if place < 0 else place
+        names.insert(at, "time")
+        for frame, row in enumerate(rows):
+            row.insert(at, frame / 50)
+    names = [*first, *names]
+    lines = [names, *([*([str(f)] if first else []), *row] for f, row in enumerate(rows))]
+    (tmp_path / "robot.csv").write_text("\n".join(",".join(map(str, line)) for line in lines))
+    clip = AnglesReader().read(tmp_path / "robot.csv")
+    assert clip.joint_names == ("root", *(f"angle knee_{n}" for n in range(hinges)))
+    assert clip.frame_rate == pytest.approx(30.0 if place is None else 50.0)
+    assert clip.root_position[3].tolist() == pytest.approx([0.06, 0.0, 0.9])
+    assert clip.rotations[3, 0].tolist() == pytest.approx([0.8, 0.0, 0.0, 0.6])

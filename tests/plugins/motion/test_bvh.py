@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from motion_files import walker, write_bvh
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError, FileError
+from understudy.setup.plugins import installed
+from understudy_motion import library
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.bvh import BvhReader
 from understudy_motion.reading import Axis, ReadOptions, Unit
@@ -623,3 +626,50 @@ def test_what_bvh_cannot_hold(tmp_path: Path) -> None:
     )
     with pytest.raises(FileError, match="joint 'the hips' cannot be written as BVH"):
         BvhWriter().write(odd, tmp_path / "odd.bvh")
+
+
+def _in_radians(text: str) -> str:
+    """A BVH whose frames have 3 positions, then angles, with these in radians."""
+    head, rows = text.split("Frame Time", 1)
+    time, *frames = rows.strip().splitlines()
+    numbers = [np.array(frame.split(), dtype=float) for frame in frames]
+    turned = [(*row[:3], *np.radians(row[3:])) for row in numbers]
+    lines = [" ".join(f"{value:.6f}" for value in row) for row in turned]
+    return "\n".join([f"{head}Frame Time{time}", *lines, ""])
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "hop", "sit", "cartwheel", "backflip"])
+def test_angles_in_radians(tmp_path: Path, name: str) -> None:
+    """They left a figure that slid along in its zero pose, silently."""
+    written = tmp_path / "written.bvh"
+    BvhWriter().write(library.find(name, installed().registry), written)
+    expected = BvhReader().read(written)
+    (tmp_path / "radians.bvh").write_text(_in_radians(written.read_text()))
+    for options in (ReadOptions(), WRITTEN):
+        clip = BvhReader().read(tmp_path / "radians.bvh", options)
+        torch.testing.assert_close(clip.root_position, expected.root_position)
+        alike = (clip.rotations * expected.rotations).sum(dim=-1).abs()
+        assert alike.min() == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["still", "typed", "crumpled"])
+def test_small_angles_that_are_degrees(tmp_path: Path, kind: str) -> None:
+    """Of a figure that stands where it is, by hand, and of a statue that is carried and trembles."""
+    clip = walker(frames=40)
+    generator = np.random.default_rng(0)
+    angles = generator.uniform(-5, 5, (40, len(clip.joint_names), 3))
+    if kind == "typed":
+        angles = np.round(angles)
+    turns = Rotation.from_euler("ZXY", angles.reshape(-1, 3), degrees=True).as_rotvec()
+    vectors = torch.from_numpy(turns).reshape(40, -1, 3)
+    vectors = vectors[:1].expand_as(vectors) if kind == "still" else vectors
+    still = clip.root_position[:1].expand_as(clip.root_position)
+    clip = replace(
+        clip,
+        rotations=rotations.from_exponential_map(vectors),
+        root_position=still if kind == "still" else clip.root_position,
+    )
+    BvhWriter().write(clip, tmp_path / "small.bvh")
+    read = BvhReader().read(tmp_path / "small.bvh")
+    alike = (read.rotations * clip.rotations).sum(dim=-1).abs()
+    assert alike.min() == pytest.approx(1.0, abs=1e-6)

@@ -167,7 +167,17 @@ def test_rates(tmp_path: Path) -> None:
         (
             "poses",
             np.zeros((6, 22, 4)),
-            r"'poses': its shape is \(6, 22, 4\) and should be \(any, any, 3\)",
+            "frame 0: array 'poses' holds a quaternion that is no rotation",
+        ),
+        (
+            "poses",
+            np.ones((6, 22, 6)),
+            "frame 0: array 'poses' holds a pair of a matrix' columns that is no rotation",
+        ),
+        (
+            "poses",
+            np.zeros((6, 20, 3)),
+            "60 pose values per frame are no body",
         ),
         ("poses", np.zeros((6, 66), dtype=complex), "'poses': holds complex128"),
         ("poses", np.full((6, 66), np.nan), "frame 0: 'poses' is not finite"),
@@ -255,6 +265,57 @@ def test_other_shapes_and_names_of_the_arrays(tmp_path: Path) -> None:
         assert joints == (22 if others.get("body_pose", hands["body_pose"]).shape[1] == 21 else 24)
         torch.testing.assert_close(clip.rotations, expected.rotations[:, :joints])
         assert clip.frame_rate == pytest.approx(120.0)
+
+
+def _halves(matrices: np.ndarray, layout: str) -> np.ndarray:
+    """(F, J, 6) of (F, J, 3, 3)."""
+    if layout == "side by side":
+        return matrices[..., :2].reshape(*matrices.shape[:2], 6)
+    parts = matrices if layout == "rows" else matrices.swapaxes(2, 3)
+    return parts[:, :, :2].reshape(*matrices.shape[:2], 6)
+
+
+@pytest.mark.parametrize("joints", [22, 24, 52, 55])
+@pytest.mark.parametrize("flat", [True, False])
+def test_rotations_in_any_layout(tmp_path: Path, joints: int, flat: bool) -> None:
+    """Matrices, their halves by columns and rows, and quaternions of either order are the same motion."""
+    arrays = smpl_arrays(joints=joints)
+    generator = np.random.default_rng(3)
+    turns = arrays["poses"].reshape(6, joints, 3) + generator.normal(0, 0.1, (6, joints, 3))
+    turns[:, [4, 5], 0] += 0.5  # knees bend
+    expected = read(tmp_path, {**arrays, "poses": turns}).rotations
+    rotation = Rotation.from_rotvec(turns.reshape(-1, 3))
+    matrices = rotation.as_matrix().reshape(6, joints, 3, 3)
+    quaternions = rotation.as_quat().reshape(6, joints, 4)
+    layouts = [
+        matrices, matrices.reshape(6, joints, 9), quaternions, quaternions[..., [3, 0, 1, 2]], matrices[..., :2],
+        *(_halves(matrices, name) for name in ("columns", "rows", "side by side")),
+    ]  # fmt: skip
+    for values in layouts:
+        given = values.reshape(6, -1) if flat else values
+        found = [read(tmp_path, {**arrays, "poses": given})]
+        if not flat:
+            found.append(read(tmp_path, {**arrays, "poses": given[None]}))  # a batch
+        if joints in (22, 24):
+            apart = {"global_orient": values[:, 0], "body_pose": values[:, 1:]}
+            rest = {key: value for key, value in arrays.items() if key != "poses"}
+            apart = {key: value.reshape(6, -1) if flat else value for key, value in apart.items()}
+            found.append(read(tmp_path, {**rest, **apart}))
+        for clip in found:
+            alike = (clip.rotations * expected).sum(dim=-1).abs()
+            assert alike.shape == expected.shape[:2]
+            assert alike.min() == pytest.approx(1.0)
+
+
+def test_halves_of_which_rows_and_columns_are_alike_are_asked_for(tmp_path: Path) -> None:
+    """Nothing bends, so the turn of the root may be either; its inverse would lie on its back."""
+    arrays = smpl_arrays()
+    turns = arrays["poses"].reshape(6, -1, 3)
+    turns[:, 1:] = 0.0
+    matrices = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(6, -1, 3, 3)
+    with pytest.raises(FileError, match="rows or columns of matrices cannot be told"):
+        read(tmp_path, {**arrays, "poses": _halves(matrices, "rows")})
+    read(tmp_path, {**arrays, "poses": _halves(matrices, "side by side")})
 
 
 def test_parts_as_body_models_name_them(tmp_path: Path) -> None:

@@ -140,3 +140,21 @@ def test_a_stance_is_left_as_it_is(name: str) -> None:
     assert clip.skeleton is not None
     again, limbs = standing(clip, find_parts(clip.skeleton, {}, name))
     assert (again is clip, limbs) == (True, ())
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "turn_left"])
+@pytest.mark.parametrize("pitch", [-80, -45, -30, -20, 30, 45, 60, 80])
+def test_pitched_feet_make_no_difference(name: str, pitch: int) -> None:
+    """Toes that point up or down in the zero pose came out so in every frame."""
+    humanoid = load_character("humanoid", REGISTRY)
+    plain = library.find(name, REGISTRY)
+    clip = humanoid.clip(humanoid.qpos(plain), plain.times, name=name, loop=plain.loop)
+    turn = Rotation.from_euler("y", pitch, degrees=True)
+    turned = with_frames(
+        clip, [turn if "ankle" in own else Rotation.identity() for own in clip.joint_names]
+    )
+    torch.testing.assert_close(*(forward_kinematics(c)[0] for c in (clip, turned)))
+    found, report = retarget(turned, humanoid)
+    assert {"legs", "feet"} & set(report.no_stance)
+    angles = apart(retarget(clip, humanoid)[0], found)
+    assert max(angles.values()) < 10.0, angles

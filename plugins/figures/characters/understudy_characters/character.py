@@ -9,6 +9,7 @@ one joint, which is where the first of them is. Bodies without joints belong to 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -80,10 +81,36 @@ def character_spec(
         or path.suffix.lower() in _SUFFIXES
         or (context and f"mjcf {path}" in context.inputs.kept)
     ):
-        return path.stem, MjcfFile(MjcfFile.Options(named), context).spec()
+        spec = MjcfFile(MjcfFile.Options(named), context).spec()
+        _free_root(spec, path.stem)
+        return path.stem, spec
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
         "URDF file."
+    )
+
+
+def _free_root(spec: mujoco.MjSpec, name: str) -> None:
+    """Give a freejoint to a model that has none and whose only jointed tree stands on a body without joints."""
+    trees = [
+        body
+        for body in spec.worldbody.bodies
+        if body.joints or body.find_all(mujoco.mjtObj.mjOBJ_JOINT)
+    ]
+    if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
+        return
+    if len(trees) != 1 or trees[0].joints:
+        return
+    root = trees[0]
+    for key in spec.keys:  # whose poses are of the joints that there were
+        if len(key.qpos):
+            key.qpos = [*root.pos, *root.quat, *key.qpos]
+        if len(key.qvel):
+            key.qvel = [*np.zeros(6), *key.qvel]
+    root.add_freejoint()
+    warnings.warn(
+        f"Model '{name}' has no freejoint, so its root {root.name or 'body'} stood fixed in the world; here it is free.",
+        stacklevel=2,
     )
 
 

@@ -70,7 +70,8 @@ class Evaluate(Command):
         training, run, reporter, chosen = load(options.run, words, _EVALUATION)
         try:
             evaluation, _ = training.judge()
-            finer = training.judge_finer() if half_step else None
+            episodes = training.experiment.root.evaluation.final_episodes
+            finer = training.job.evaluate_finer("final", episodes) if half_step else None
         finally:
             training.close()
         changed = _changed(words, _EVALUATION)

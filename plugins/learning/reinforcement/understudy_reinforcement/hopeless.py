@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from torch import Tensor
+
 from understudy.errors import TrainingError
+from understudy.running.environment import Environment
+from understudy.running.soundness import sound
 
 #: Of so many ended episodes at least, and as many as there are worlds, most may not be unsound.
 _ENOUGH = 32
@@ -43,3 +47,33 @@ class Hopeless:
                 "causes are a term that divides by zero or has a root of what is negative, a time step too "
                 "large for the gains, initial states in deep penetration, or an action scale far too large."
             )
+
+
+def refuse_negative(environment: Environment) -> None:
+    """Raise :class:`TrainingError` if a reward that has an exponent has been negative."""
+    for where, least in environment.rewards.least.items():
+        world = int(least.argmin())
+        if least[world] < 0:
+            raise TrainingError(
+                f"{where} was {float(least[world]):g} in world {world}. With reward.combine=product "
+                "its weight is an exponent, which a negative number cannot have. Use "
+                f"reward.combine=sum, {where}.weight=1, or a term that is never negative."
+            )
+
+
+def unsound_parts(environment: Environment) -> list[str]:
+    """Whose numbers went wrong in the states reached by :meth:`Environment.advance`, before ``begin``."""
+    if bool(environment.unsound.any()):
+        return ["the actuation or the simulator"]
+    parts = environment.parts
+    evaluated = [environment.evaluate(term) for term in parts.rewards]
+    reward, given = environment.rewards.combined(evaluated)
+    values = {term.where: given[term.name] for term in parts.rewards}
+    values |= {parts.encoders[n].where: value for n, value in environment.encode().items()}
+    values = values if any(map(_unsound, values.values())) else {"reward": reward}
+    return [where for where, value in values.items() if _unsound(value)]
+
+
+def _unsound(value: Tensor) -> bool:
+    """Whether any row of `value` (N, …) is not :func:`sound`. Waits for the device."""
+    return not bool(sound(value).all())

@@ -21,7 +21,7 @@ from understudy.task import State
 from understudy_reinforcement.collector import Collector
 from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.evaluator import Evaluator
-from understudy_reinforcement.hopeless import Hopeless
+from understudy_reinforcement.hopeless import Hopeless, refuse_negative, unsound_parts
 from understudy_reinforcement.learner import Learner
 from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import take_over
@@ -168,7 +168,7 @@ class Reinforcement(Job):
             metrics[f"mark/{self.sharpen()}"] = 1.0
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
-        self.environment.rewards.refuse_negative()
+        refuse_negative(self.environment)
         self._hopeless.refuse(episodes, rollout.rewards.shape[0], self._unsound_parts)
         ended = _Moment(self.device)
         return {
@@ -188,7 +188,7 @@ class Reinforcement(Job):
             for _ in range(_SOUGHT):
                 action = self.policy.distribution(environment.observations).mode()
                 ended = environment.advance(action).ended
-                found = environment.unsound_parts()
+                found = unsound_parts(environment)
                 if found:
                     break
                 environment.begin(ended)

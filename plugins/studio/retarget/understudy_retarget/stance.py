@@ -3,13 +3,15 @@
 Files of some programs put the x axis of every joint along its bone: with zero angles the figure is a
 line, and how a thigh or a foot is turned about its bone cannot be read from it. The motion still says
 it: on average a limb is turned as what it hangs on, and a leg that is straight stands. So is the trunk:
-its frames, too, may be turned any way in the zero pose.
+its frames, too, may be turned any way in the zero pose. Feet may point up or down in one that is a stance otherwise: how
+they are flat on the floor says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,6 +26,11 @@ from understudy_retarget.figure import BONES, Figure
 _FOOT = 0.25
 #: Of the frames of a clip: those with the ankle lowest, in which the foot is flat on the floor.
 _FLAT = 0.1
+#: Part along the vertical of a shin on a foot that is flat.
+_UPRIGHT = 0.8
+#: rad: by how much the pitch of feet that are flat may differ; what it may be (the clips of CMU and DeepMimic have up
+#: to 0.23); and what it may be if they may stand on their toes.
+_STEADY, _PITCHED, _ON_TOES = 0.25, 0.28, 0.45
 #: rad: no leg is turned about itself by so much on average.
 _TWISTED = 1.0
 #: rad: nor a chest against its pelvis, or a head against its chest, which bend further than that.
@@ -32,7 +39,7 @@ _BENT = 1.3
 
 def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
     """The same motion with a zero pose that is a stance, and which limbs' zero pose was none
-    (``trunk``, ``legs``, ``arms``, ``head``).
+    (``trunk``, ``legs``, ``arms``, ``head``, ``feet``).
 
     Every joint of every frame is where it was. Of limbs that were none, joints are turned in the zero
     pose as they are on average against their parent, legs straight down, forearms along the upper
@@ -45,7 +52,10 @@ def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
     figure, posed = Figure(skeleton, parts), _Posed(clip)
     # Of limbs on such a trunk a zero pose that could be a stance is one by chance.
     limbs = ("legs", "arms", "head") if trunk else tuple(_no_stance(figure, posed))
-    if not limbs:
+    feet = {} if "legs" in limbs else _pitched_feet(skeleton, figure, posed)
+    for joint, turn in feet.items():
+        posed.fixed[joint] = turn
+    if not limbs and not feet:
         return clip, trunk
     again = _below(skeleton, figure, limbs)
     carriers = {joint: segment for segment, joint in reversed(figure.segments.items())}
@@ -66,7 +76,7 @@ def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
         if wanted is not None and (bone := posed.along(figure, segment)) is not None:
             average = average * Rotation.align_vectors(average.apply(bone, inverse=True), wanted)[0]
         posed.fixed[joint] = average
-    return _refixed(clip, skeleton, posed.fixed), (*trunk, *limbs)
+    return _refixed(clip, skeleton, posed.fixed), (*trunk, *limbs, *(("feet",) if feet else ()))
 
 
 def _with_trunk(clip: Clip, parts: Parts) -> Clip:
@@ -124,6 +134,42 @@ def _flat(above: Rotation, axes: np.ndarray) -> Rotation:
     forward = (above * body).apply([1.0, 0.0, 0.0])
     yaw = np.arctan2(forward[:, 1], forward[:, 0])
     return Rotation.from_euler("z", yaw[:, None]) * body.inv()
+
+
+def _pitched_feet(skeleton: Skeleton, figure: Figure, posed: _Posed) -> dict[int, Any]:
+    """The joints of feet that point up or down in the zero pose of a figure whose legs stand in it, and how each is
+    turned anew: by the pitch that the foot has, usually, while it is flat on the floor.
+
+    Both feet have to, by about as much. Runners land and dancers stand on their toes, so where the zero pose may be
+    right the motion has to say otherwise plainly.
+    """
+    body = Rotation.from_matrix(figure.axes)
+    pitches, rises = [], [0.0]
+    joints: set[int] = set()
+    for side in SIDES:
+        foot, shin = (figure.segments.get(f"{side}_{name}") for name in ("foot", "shin"))
+        if foot is None or shin is None or foot == shin or f"{side}_ankle" not in figure.points:
+            return {}
+        height = figure.points[f"{side}_ankle"].track(*posed.tracks)[:, 2].numpy()
+        upright = (posed.turns[shin] * body).apply([0.0, 0.0, 1.0])[:, 2] > _UPRIGHT
+        flat = (height <= np.quantile(height, _FLAT)) & upright
+        if not flat.any():
+            return {}
+        ahead = (body.inv() * posed.turns[foot] * body)[flat].apply([1.0, 0.0, 0.0])
+        low, pitch, high = np.quantile(np.arcsin(ahead[:, 2].clip(-1.0, 1.0)), (0.25, 0.5, 0.75))
+        if high - low > _STEADY:
+            return {}
+        pitches.append(float(pitch))
+        joints |= {j for j in range(len(skeleton.parents)) if foot in path_up(skeleton, j)}
+        if f"{side}_toe" in figure.points:
+            along = figure.between(f"{side}_ankle", f"{side}_toe")
+            rises.append(float(np.arctan2(along[2], np.linalg.norm(along[:2]))))
+    pitch = float(np.mean(pitches))
+    least = -_ON_TOES if max(rises) < 0.5 * _PITCHED else -_PITCHED
+    if np.ptp(pitches) > _STEADY or least <= pitch <= _PITCHED:
+        return {}
+    level: Any = body * Rotation.from_euler("y", pitch) * body.inv()
+    return dict.fromkeys(joints, level)
 
 
 def _no_stance(figure: Figure, posed: _Posed) -> Iterator[str]:

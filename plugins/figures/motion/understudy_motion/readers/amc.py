@@ -9,7 +9,8 @@ own pose all frames are parallel. The root is read as a bone whose axis is its `
 clip's joint sits where its bone begins.
 
 Lengths are in inches divided by the ``length`` of the ASF's ``:units`` (0.45 in CMU's files), unless
-the unit is given. Most AMC have no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
+the unit is given; without that line the unit is the one that makes the figure an adult. Angles are in the unit that the
+AMC says, else in the ASF's, else as in BVH. Most AMC have no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
 unless one is given (some of CMU's clips are of 60 frames/s), or a line ``:SAMPLES-PER-SECOND`` says it.
 
 Remarks (``#``, ``//``), capitals, decimal commas and the bones' order in a frame do not matter. Bones may have the
@@ -34,8 +35,14 @@ from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.limits import check_size, checked_skeleton, read_bytes
 from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import product_of_turns, to_world
+from understudy_motion.readers.guesses import (
+    MOST_RADIANS,
+    are_radians,
+    may_be_radians,
+    unit_of_height,
+)
 from understudy_motion.readers.text import LARGEST, decoded, is_number, shown, without_comments
-from understudy_motion.reading import UNSAID, Axis, ClipReader, ReadOptions, metres_of
+from understudy_motion.reading import METRES, UNSAID, Axis, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 DEFAULT_RATE = 120.0
@@ -84,9 +91,10 @@ class Figure:
     parents: list[int]
     position: tuple[float, ...]
     """Where the root is when its values are zero."""
-    length_unit: float
-    """Inches are lengths divided by it."""
-    degrees: bool
+    length_unit: float | None
+    """Inches are lengths divided by it; None where the file does not say."""
+    degrees: bool | None
+    """Whether angles are in degrees, not radians; None where the file does not say."""
 
 
 class AmcReader(ClipReader):
@@ -109,34 +117,45 @@ class AmcReader(ClipReader):
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
         lines = [_plain(line) for line in decoded(content).splitlines()]
-        start, degrees, rate = _header(path, lines)
+        start, said, rate = _header(path, lines)
         figure_path = options.skeleton or _skeleton_of(path)
         figure = read_figure(figure_path)
         values = _values(path, lines, start, figure.bones, figure_path)
 
         up = options.up or "y"
-        metres = metres_of(options.unit or "inch") / figure.length_unit
-        unit_angle = np.pi / 180.0 if degrees else 1.0
+        metres = _metres(figure_path, figure, options, up)
         position = np.tile(figure.position, (len(values[0]), 1))
         for column, channel in enumerate(figure.bones[0].channels):
             if channel in POSITIONS:
                 position[:, POSITIONS.index(channel)] += values[0][:, column]
         for bone, numbers in zip(figure.bones[1:], values[1:], strict=True):
             _check_still(path, bone, metres * numbers)
-        joints = [
-            _local_rotation(bone, numbers * unit_angle, _axis(bone, figure.degrees), up)
-            for bone, numbers in zip(figure.bones, values, strict=True)
-        ]
-        return Clip(
-            name=path.stem,
-            times=torch.arange(len(position), dtype=torch.float64) / (options.rate or rate),
-            root_position=torch.from_numpy(to_world(metres * position, up)),
-            rotations=torch.stack(joints, dim=1),
-            joint_names=tuple(bone.name for bone in figure.bones),
-            loop=bool(options.loop),
-            skeleton=_skeleton(figure_path, figure, metres, up),
-            **provenance(path, content),
-        )
+
+        wide = max(abs(angle) for bone in figure.bones for angle in bone.axis) > MOST_RADIANS
+
+        def clip(degrees: bool) -> Clip:
+            unit = np.pi / 180.0 if degrees else 1.0
+            axes = degrees or wide if figure.degrees is None else figure.degrees
+            joints = [
+                _local_rotation(bone, numbers * unit, _axis(bone, axes), up)
+                for bone, numbers in zip(figure.bones, values, strict=True)
+            ]
+            return Clip(
+                name=path.stem,
+                times=torch.arange(len(position), dtype=torch.float64) / (options.rate or rate),
+                root_position=torch.from_numpy(to_world(metres * position, up)),
+                rotations=torch.stack(joints, dim=1),
+                joint_names=tuple(bone.name for bone in figure.bones),
+                loop=bool(options.loop),
+                skeleton=_skeleton(figure_path, figure, metres, up),
+                **provenance(path, content),
+            )
+
+        stated = figure.degrees if said is None else said
+        if stated is not None or not may_be_radians(_angles(figure.bones, values)):
+            return clip(True if stated is None else stated)
+        degrees, radians = clip(True), clip(False)
+        return radians if are_radians(radians, degrees) else degrees
 
 
 def read_figure(path: Path) -> Figure:
@@ -159,8 +178,8 @@ class _FigureParser:
         self._line = 0
         self._root = Bone("root")
         self._position: tuple[float, ...] = (0.0, 0.0, 0.0)
-        self._length_unit = 1.0
-        self._degrees = True
+        self._length_unit: float | None = None
+        self._degrees: bool | None = None
         self._bones = {"root": self._root}
         self._open: Bone | None = None
         self._children: dict[str, list[str]] = {}
@@ -188,8 +207,8 @@ class _FigureParser:
     def _units_line(self, words: list[str]) -> None:
         key = words[0].lower()
         if key == "length":
-            self._length_unit = self._numbers(words, 1)[0]
-            if not 1e-6 <= self._length_unit <= 1e6:
+            length = self._length_unit = self._numbers(words, 1)[0]
+            if not 1e-6 <= length <= 1e6:
                 self._fail("the unit of length must be above 0")
         elif key == "angle":
             if len(words) != 2 or words[1].lower()[:3] not in ("deg", "rad"):
@@ -343,9 +362,33 @@ def _skeleton_of(path: Path) -> Path:
     )
 
 
-def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool, float]:
-    """The index of the first frame's line, whether angles are in degrees, and the frames per second."""
-    degrees, rate = True, DEFAULT_RATE
+def _metres(path: Path, figure: Figure, options: ReadOptions, up: Axis) -> float:
+    """The metres in a unit of the figure: as given, as its file says, else as its height shows."""
+    if options.unit or figure.length_unit is not None:
+        return metres_of(options.unit or "inch") / (figure.length_unit or 1.0)
+    places = [np.zeros(3)]
+    tips = [figure.bones[0].tip]
+    for bone, parent in zip(figure.bones[1:], figure.parents[1:], strict=True):
+        places.append(tips[parent])
+        tips.append(tips[parent] + bone.tip)
+    metres = unit_of_height(float(np.ptp(np.array(places + tips)[:, "xyz".index(up)])))
+    if metres is None:
+        raise FileError(
+            f"Skeleton {path}: it has no section :units, and its unit of length cannot be told from the figure; give "
+            f"motion.unit, one of {', '.join(METRES)}, or the metres in a unit (--unit)."
+        )
+    return metres
+
+
+def _angles(bones: Sequence[Bone], values: Sequence[np.ndarray]) -> np.ndarray:
+    """All angles of the motion, in one row."""
+    turning = [[c in ROTATIONS for c in bone.channels] for bone in bones]
+    return np.concatenate([v[:, t].ravel() for v, t in zip(values, turning, strict=True)])
+
+
+def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool | None, float]:
+    """The index of the first frame's line, whether angles are in degrees if it says so, and the frames per second."""
+    degrees, rate = None, DEFAULT_RATE
     for index, line in enumerate(lines):
         word = line.strip().lower()
         if _frame_number(word) is not None:

@@ -37,6 +37,7 @@ from understudy_motion.readers.columns import (
     scale_of_unit,
     units_in,
 )
+from understudy_motion.readers.table import UNREAD
 from understudy_motion.readers.text import decoded, is_number, number_rows, without_comments
 from understudy_motion.readers.times import is_plain_time, since_first
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
@@ -128,7 +129,11 @@ class AnglesReader(ClipReader):
         rows = rows * scales
         said = dict(filter(None, map(said_of, raw[:at])))
         rate = rate_of(path, said["rate"]) if "rate" in said else RATE
-        timed = not degrees and _timed(rows)
+        if named and not degrees:
+            kept = _as_read(rows, words)
+            rows, words = rows[:, kept], [words[n] for n in kept]
+        by_name = named and (plain_name(words[0]) == "time" or UNREAD.fullmatch(words[0]))
+        timed = not degrees and _timed(rows, 8 if by_name else 9)
         if timed:  # by a column of times, s, or of frames' numbers
             rate = options.rate or _rate(path, rows[:, 0], rate)
             rows, words = rows[:, 1:], words[1:]
@@ -202,9 +207,22 @@ def _unit(quaternion: np.ndarray) -> bool:
     return bool(abs(np.linalg.norm(quaternion) - 1.0) < 0.02)
 
 
-def _timed(rows: np.ndarray) -> bool:
-    """Whether the first column counts, or has times, and the quaternion is one further on."""
-    if len(rows) < 2 or rows.shape[1] < 9:
+def _as_read(rows: np.ndarray, words: Sequence[str]) -> list[int]:
+    """The columns of named `words`, that of times first, less those of rows' numbers beside it."""
+    times = [n for n, word in enumerate(words) if plain_name(word) == "time"]
+    counts = [n for n, word in enumerate(words) if UNREAD.fullmatch(word) and _counted(rows[:, n])]
+    left_out = {*times[1:], *(counts if times else counts[1:])}
+    first = times[:1] or counts[:1]
+    return [*first, *(n for n in range(len(words)) if n not in {*first, *left_out})]
+
+
+def _counted(column: np.ndarray) -> bool:
+    return len(column) > 1 and bool((np.diff(column) == 1.0).all())
+
+
+def _timed(rows: np.ndarray, least: int) -> bool:
+    """Whether the first column counts, or has times, and the quaternion is one further on; of so many columns."""
+    if len(rows) < 2 or rows.shape[1] < least:
         return False
     times = rows[:, 0]
     steps = np.diff(times)

@@ -1,4 +1,4 @@
-"""Biovision hierarchy (BVH): a skeleton, then Euler angles in degrees, frame by frame.
+"""Biovision hierarchy (BVH): a skeleton, then Euler angles in degrees, frame by frame; some programs write radians.
 
 The format as described by J. Lander, "Working with Motion Capture File Formats", Game Developer,
 January 1998: a joint's rotation is the product of its rotation channels in the order listed, the
@@ -15,6 +15,8 @@ A BVH says neither its unit nor its vertical axis. What is not given is recognis
 
 - The vertical axis is the one of y and z along which the figure is much the longer, in the pose of
   zeros and in the first frame; one of the two may be undecided (bones laid out along x, crouching).
+- The unit of angles is degrees, unless no angle is beyond a turn in radians, and as degrees they would leave a
+  figure all but still that travels, or that does not stand on its floor.
 - The unit is metres, centimetres, millimetres, inches or feet if that makes the figure an adult, else
   one of the first three if that makes it between 0.4 and 3 m tall, else that of the CMU database
   (1 / 0.45 inch) if that makes it an adult.
@@ -25,6 +27,7 @@ Files with y up are taken to face z, as is the custom; see
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import re
 from collections.abc import Iterator, Sequence
@@ -41,6 +44,7 @@ from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.limits import MAX_JOINTS, MAX_NAME, check_size, checked_skeleton, read_bytes
 from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import product_of_turns, to_world
+from understudy_motion.readers.guesses import are_radians, may_be_radians, unit_of_height
 from understudy_motion.readers.text import decoded, is_number, number_rows, shown, without_comments
 from understudy_motion.reading import (
     HEAD_BYTES,
@@ -53,14 +57,8 @@ from understudy_motion.reading import (
 )
 from understudy_tensors import rotations
 
-ADULT = (1.2, 2.3)
-"""m, heights between a figure's lowest and highest point that leave no doubt about the unit."""
-PLAUSIBLE = (0.4, 3.0)
-"""m, heights that decide between units a power of ten apart."""
 TALLER = 1.5
 """How many times longer than along the other axis a figure must be along the vertical one."""
-CMU = 0.0254 / 0.45
-"""m in a unit of the CMU database's skeletons, which its conversions to BVH keep."""
 MOVING = 1e-3
 """m that a joint's position may differ from its bone."""
 SHIFTED, TRAVELLING = 1e-4, 1e-2
@@ -169,21 +167,39 @@ class BvhReader(ClipReader):
         joints, motion = hierarchy.parse()
         interval, values = _motion(path, lines, motion, joints, hierarchy.columns, options.rate)
         bones = _figure(path, joints, values)
-        up, metres = _recognised(path, bones, options)
-        for bone in bones[1:]:
-            _check_still(path, bone, metres)
+
+        def clip(bones: Sequence[Bone], up: Axis, metres: float) -> Clip:
+            for bone in bones[1:]:
+                _check_still(path, bone, metres)
+            position = bones[0].positions
+            return Clip(
+                name=path.stem,
+                times=torch.arange(len(position), dtype=torch.float64) / rate,
+                root_position=torch.from_numpy(to_world(metres * position, up)),
+                rotations=torch.stack([bone.turns(up) for bone in bones], dim=1),
+                joint_names=tuple(bone.name for bone in bones),
+                loop=bool(options.loop),
+                skeleton=_skeleton(path, bones, metres, up),
+                **provenance(path, content),
+            )
+
         rate = options.rate or 1.0 / interval
-        position = bones[0].positions
-        return Clip(
-            name=path.stem,
-            times=torch.arange(len(position), dtype=torch.float64) / rate,
-            root_position=torch.from_numpy(to_world(metres * position, up)),
-            rotations=torch.stack([bone.turns(up) for bone in bones], dim=1),
-            joint_names=tuple(bone.name for bone in bones),
-            loop=bool(options.loop),
-            skeleton=_skeleton(path, bones, metres, up),
-            **provenance(path, content),
-        )
+        if not may_be_radians(np.concatenate([bone.angles.ravel() for bone in bones])):
+            return clip(bones, *_recognised(path, bones, options))
+        wide = _figure(path, joints, values, np.degrees(1.0))
+        try:
+            frame = _recognised(path, bones, options)
+        except FileError as error:
+            with contextlib.suppress(FileError):
+                frame = _recognised(path, wide, options)
+                if are_radians(clip(wide, *frame), clip(bones, *frame)):
+                    return clip(wide, *frame)
+            raise error
+        given = clip(bones, *frame)
+        with contextlib.suppress(FileError):
+            turned = clip(wide, *_recognised(path, wide, options))
+            return turned if are_radians(turned, given) else given
+        return given
 
 
 class _Hierarchy:
@@ -465,8 +481,11 @@ def _rejoined(body: Sequence[str], frames: int, columns: int) -> Sequence[str]:
     return [" ".join(flat[i : i + columns]) for i in range(0, len(flat), columns)]
 
 
-def _figure(path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray]) -> list[Bone]:
-    """The joints that are the figure's, the first its root, with their bones and angles."""
+def _figure(
+    path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray], degrees: float = 1.0
+) -> list[Bone]:
+    """The joints that are the figure's, the first its root, with their bones and angles, of which the file's unit is
+    so many `degrees`."""
     bones = []
     for joint, numbers in zip(joints, values, strict=True):
         positions = np.tile(np.array(joint.offset), (len(numbers), 1))
@@ -481,7 +500,7 @@ def _figure(path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray]) -
         bones.append(
             Bone(
                 joint.name, joint.parent, np.array(joint.offset), joint.tip,
-                tuple(k for _, k in turning), numbers[:, [c for c, _ in turning]], positions,
+                tuple(k for _, k in turning), degrees * numbers[:, [c for c, _ in turning]], positions,
             )
         )  # fmt: skip
     if len(bones[0].positions):
@@ -605,7 +624,7 @@ def _recognised(path: Path, bones: Sequence[Bone], options: ReadOptions) -> tupl
         )
     if options.unit is not None:
         return up, metres_of(options.unit)
-    metres = _unit_of_height(extents[:, "xyz".index(up)].max())
+    metres = unit_of_height(extents[:, "xyz".index(up)].max())
     if metres is None:
         raise FileError(
             f"Clip {path}: its unit of length cannot be told from the figure; give motion.unit, one "
@@ -651,16 +670,3 @@ def _vertical(extents: np.ndarray) -> Axis | None:
     zeros, turned, first = votes
     axis = turned or zeros
     return None if axis and first and axis != first else axis or first
-
-
-def _unit_of_height(height: float) -> float | None:
-    """Metres in the unit that makes a figure of this height an adult, or else plausible."""
-    candidates = (
-        *((METRES[unit], ADULT) for unit in ("m", "cm", "mm", "inch", "foot")),
-        *((METRES[unit], PLAUSIBLE) for unit in ("m", "cm", "mm")),
-        (CMU, ADULT),
-    )
-    for metres, (least, most) in candidates:
-        if least <= height * metres <= most:
-            return metres
-    return None

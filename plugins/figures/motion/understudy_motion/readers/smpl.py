@@ -3,7 +3,8 @@
 ``poses`` (F, 3 J) holds a rotation vector per joint, the root's first: 22 joints of the body, then
 those of SMPL (24), SMPL-H (52) or SMPL-X (55); or the parts stand apart as ``root_orient``,
 ``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``, of which the body is enough. Joints may have an axis of their own, and be
-rotation matrices: (F, J, 3) or (F, J, 3, 3). ``trans`` (F, 3) is in metres. An axis of a batch of one
+rotation matrices, six numbers of these, or quaternions (:mod:`understudy_motion.readers.turns`), each also flat: (F, J, 3),
+(F, J, 3, 3), (F, 9 J), (F, 6 J), …. ``trans`` (F, 3) is in metres. An axis of a batch of one
 clip, or of one person, is left out. The rate is ``mocap_framerate``, ``mocap_frame_rate``, ``mocap_fps``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
 names of these arrays (``global_orient``, ``body_pose``, ``transl``, …) are read as well.
 
@@ -28,6 +29,7 @@ from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.limits import check_size, checked_skeleton
 from understudy_motion.origin import provenance
+from understudy_motion.readers import turns
 from understudy_motion.readers.frames import check_sizes, to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
@@ -57,6 +59,8 @@ JOINTS: Mapping[int, tuple[str, ...]] = {
     )
 }
 """Joint names of the body alone, SMPL, SMPL-H and SMPL-X, by their number."""
+_COUNTS = {*JOINTS, *(number - 1 for number in JOINTS)}
+"""Joints of ``poses``, with and without the root."""
 
 PARTS: Mapping[str, int] = {"root_orient": 1, "pose_body": 21, "pose_jaw": 1, "pose_eye": 2, "pose_hand": 30}  # fmt: skip
 """Joints of the arrays that may stand for ``poses``, in its order."""
@@ -69,6 +73,8 @@ HALVES: Mapping[str, tuple[str, str]] = {
 
 UPRIGHT = 0.8
 """Least part along y of the body's own up, on average, by which it may stand in a world with y up."""
+BENT = 0.05
+"""rad that knees and elbows bend together by, at least, to tell a rotation from its inverse."""
 HIGH = 0.3
 """m above the floor that a standing body's pelvis is at least."""
 _SMPL = 23
@@ -182,12 +188,46 @@ class SmplReader(ClipReader):
 
 
 def _poses(path: Path, archive: Archive) -> np.ndarray:
-    """(F, J, 3) rotation vectors in the body's frames."""
+    """(F, J, 3) rotation vectors in the body's frames.
+
+    Six numbers a joint may be rows of its matrix or columns, which makes the one rotation the inverse of the other:
+    it is the one by which knees and elbows bend as a person's do. Quaternions may begin or end with their real
+    part: it is the one by which joints turn less.
+    """
+    body = _named("poses", archive.names) or _named("pose_body", archive.names) or ""
+    found = turns.layout(archive.shape(body), _COUNTS) if body else None
+    poses = _poses_of(path, archive, first=False)
+    if not found or found[2] not in (4, 6) or not poses.size:
+        return poses
+    other = _poses_of(path, archive, first=True)
+    if found[2] == 4:
+        least, own = (np.linalg.norm(p[:, 1:], axis=2).mean() for p in (other, poses))
+        return other if least < own else poses
+    more = _bend(other) - _bend(poses)
+    if np.abs(other - poses).max() > BENT > abs(more):
+        raise FileError(
+            f"Clip {path}: whether its six numbers a joint are rows or columns of matrices cannot be told, since its "
+            "knees and elbows do not bend; write rotation vectors."
+        )
+    return other if more > 0.0 else poses
+
+
+def _bend(poses: np.ndarray) -> float:
+    """rad by which knees and elbows bend together, on average, the right way."""
+    at = {name: poses[:, BODY.index(name)] for name in BODY[:22]}
+    legs = at["left_knee"][:, 0] + at["right_knee"][:, 0]
+    return float((legs + at["right_elbow"][:, 1] - at["left_elbow"][:, 1]).mean())
+
+
+def _poses_of(path: Path, archive: Archive, first: bool) -> np.ndarray:
+    """(F, J, 3), `first` as :func:`.turns.vectors` has it."""
     whole = _named("poses", archive.names)
-    poses = _vectors(path, archive, whole) if whole else _of_parts(path, archive)
+    poses = (
+        _vectors(path, archive, whole, _COUNTS, first) if whole else _of_parts(path, archive, first)
+    )
     root = _named("root_orient", archive.names)
     if whole and root and poses.shape[1] // 3 not in JOINTS and poses.shape[1] // 3 + 1 in JOINTS:
-        orient = _vectors(path, archive, root)  # of the body alone
+        orient = _vectors(path, archive, root, (1,), first)  # of the body alone
         if len(orient) == len(poses) and orient.shape[1] == 3:
             poses = np.concatenate((orient, poses), axis=1)
     joints, rest = divmod(poses.shape[1], 3)
@@ -200,13 +240,14 @@ def _poses(path: Path, archive: Archive) -> np.ndarray:
     return poses.reshape(len(poses), joints, 3)
 
 
-def _of_parts(path: Path, archive: Archive) -> np.ndarray:
+def _of_parts(path: Path, archive: Archive, first: bool) -> np.ndarray:
     """(F, 3 J) of :data:`PARTS`: the body, with its hands where they are there, and with both a face too."""
     found: dict[str, list[np.ndarray]] = {}
     for part, joints in PARTS.items():
         name = _named(part, archive.names)
         if name or part in ("root_orient", "pose_body"):
-            values = _vectors(path, archive, name or part)
+            sizes = (joints, _SMPL) if part == "pose_body" else (joints,)
+            values = _vectors(path, archive, name or part, sizes, first)
             if part == "pose_body" and values.shape[1] == 3 * _SMPL:
                 joints = _SMPL  # with its hands
             if values.shape[1] not in (3 * joints, 0):
@@ -216,7 +257,7 @@ def _of_parts(path: Path, archive: Archive) -> np.ndarray:
                 )
             found[part] = [values] if values.shape[1] else []
         elif set(HALVES.get(part, ("",))) <= archive.names:
-            sides = [_vectors(path, archive, side) for side in HALVES[part]]
+            sides = [_vectors(path, archive, side, (joints // 2,), first) for side in HALVES[part]]
             # Others are coefficients of the model's own hands, which are not here.
             found[part] = sides if all(2 * v.shape[1] == 3 * joints for v in sides) else []
     body = found["root_orient"] + found["pose_body"]
@@ -233,35 +274,18 @@ def _named(name: str, names: Collection[str]) -> str | None:
     return next((n for n in (name, *NAMES.get(name, ())) if n in names), None)
 
 
-def _vectors(path: Path, archive: Archive, name: str) -> np.ndarray:
-    """(F, 3 J) rotation vectors of an array (F, 3 J), which may have an axis of one more, (F, J, 3) or (F, J, 3, 3)."""
-    axes = len(archive.shape(name)) if name in archive.names else 2
-    if (
-        axes == 4
-        and archive.shape(name)[2:] != (3, 3)
-        and _single(archive.shape(name)[:3]) is not None
-    ):
-        values = archive.floats(name, None, None, None, 3)
-        return values.reshape(max(values.shape[:2]), -1)
-    if axes == 4:
-        matrices = archive.floats(name, None, None, 3, 3)
-        apart = np.abs(matrices @ matrices.swapaxes(2, 3) - np.eye(3)).max(
-            axis=(1, 2, 3), initial=0.0
-        )
-        wrong = (apart > 0.1) | (np.linalg.det(matrices) < 0.0).any(axis=1)
-        if wrong.any():
-            raise FileError(
-                f"Clip {path}: frame {int(wrong.argmax())}: array '{name}' holds a matrix that is no rotation."
-            )
-        vectors = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()
-        return vectors.reshape(len(matrices), -1)
-    if axes == 3 and archive.shape(name)[2] != 3 and _single(archive.shape(name)) is not None:
-        values = archive.floats(name, None, None, None)
-        return values.reshape(-1, values.shape[2])
-    if axes == 3:
-        vectors = archive.floats(name, None, None, 3)
-        return vectors.reshape(len(vectors), -1)
-    return archive.floats(name, None, None)
+def _vectors(
+    path: Path, archive: Archive, name: str, joints: Collection[int], first: bool
+) -> np.ndarray:
+    """(F, 3 J) rotation vectors of an array of one of so many `joints`, in any layout of :mod:`.turns`; what is in
+    none of them as it is, a frame a row."""
+    shape = archive.shape(name)
+    found = turns.layout(shape, joints)
+    if found is None:
+        values = archive.floats(name, *([None] * max(2, len(shape))))
+        return values.reshape(max(shape[:2]) if _single(shape) is not None else len(values), -1)
+    values = archive.floats(name, *shape).reshape(found)
+    return turns.vectors(path, name, values, first).reshape(found[0], 3 * found[1])
 
 
 def _single(shape: tuple[int, ...]) -> int | None:
