@@ -135,7 +135,9 @@ def test_after_sharpening_an_evaluation_comes_soon(monkeypatch: pytest.MonkeyPat
 def test_a_result_is_tried_at_half_the_time_step() -> None:
     """On the same starts, whatever physics a training began with."""
     training = made(None)
-    hertz, finer = training.judge_finer() or (0.0, None)
+    hertz, finer = training.job.evaluate_finer(
+        "final", training.experiment.root.evaluation.final_episodes
+    ) or (0.0, None)
     assert hertz == 80.0
     simulator = training.job._evaluator(8).built.environment.parts.simulator  # type: ignore[attr-defined]
     assert simulator._substeps == 8

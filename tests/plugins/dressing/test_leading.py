@@ -122,7 +122,7 @@ def test_episodes_begin_in_them_and_are_paid_for_what_follows(run: Path) -> None
     environment.step(torch.zeros(2, environment.action_size))
     term = next(t for t in environment.parts.rewards if t.name == "way")
     wanted = torch.exp(-(table["qpos"][:, :22] - way[:, 0]).square().sum(dim=1))
-    assert torch.allclose(environment._evaluate(term), wanted)
+    assert torch.allclose(environment.evaluate(term), wanted)
     environment.close()
 
 
