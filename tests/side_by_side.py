@@ -1,8 +1,7 @@
-"""All tests of ``make test``, in two processes side by side.
+"""All tests of ``make test``, in as many processes as there are groups at hand, two at a time.
 
 Not pytest-xdist: its workers take signals that the tests of stop signals send. A group is a process of its
-own, so nothing is shared but the machine; what it prints is shown when it ends. There are no more groups than
-processors: each imports everything once, starts servers of its own, and makes anew what several tests share::
+own, so nothing is shared but the machine; what it prints is shown when it ends::
 
     python tests/side_by_side.py [options of pytest]
 """
@@ -21,31 +20,24 @@ from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent
 SIDE_BY_SIDE = 2
-#: How many times as long as others of as many lines these take, so that groups end together.
-SLOWER = {
-    "cloth": 2, "cmfbo": 2, "diversity": 3, "dressing": 3, "external": 5, "humanoid": 2, "integration": 2,
-    "miniature": 3, "mujoco_on_warp": 3, "play": 2, "pose_vae": 2, "ppo": 2, "ray_executor": 3, "sitting": 2,
-    "test_capturable.py": 30, "test_docs.py": 2, "test_experiments.py": 4, "test_isolation.py": 3,
-    "test_parts_and_tasks.py": 15, "test_quick.py": 6,
-}  # fmt: skip
-#: These make the same stages (``miniatures.make_stages``), once a process.
-TOGETHER = {"miniature", "sequencing", "skills", "test_parts_and_tasks.py"}
+#: What takes longest by itself, and so begins first.
+LONG = ("faults", "test_parts_and_tasks.py")
+#: The plugins' folders are dealt to so many groups; each imports everything once.
+PLUGIN_GROUPS = 3
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
 def groups() -> list[list[Path]]:
-    """What each process runs; together it is everything in ``tests``."""
-    dealt: list[list[Path]] = [[] for _ in range(SIDE_BY_SIDE)]
-    sizes = [0] * SIDE_BY_SIDE
-    found = [*TESTS.iterdir(), *(TESTS / "plugins").iterdir()]
-    found = [path for path in sorted(found) if is_tests(path) and path.name != "plugins"]
-    together = [path for path in found if path.name in TOGETHER]
-    dealt_out = [together, *([path] for path in found if path not in together)]
-    for paths in sorted(dealt_out, key=lambda paths: -sum(map(size, paths))):
+    """What each process runs, what takes longest first; together it is everything in ``tests``."""
+    plugins: list[list[Path]] = [[] for _ in range(PLUGIN_GROUPS)]
+    sizes = [0] * PLUGIN_GROUPS
+    found = [path for path in (TESTS / "plugins").iterdir() if is_tests(path)]
+    for path in sorted(found, key=lines, reverse=True):
         least = sizes.index(min(sizes))
-        dealt[least] += paths
-        sizes[least] += sum(map(size, paths))
-    return [sorted(group) for group in dealt]
+        plugins[least].append(path)
+        sizes[least] += lines(path)
+    rest = [p for p in TESTS.iterdir() if is_tests(p) and p.name not in (*LONG, "plugins")]
+    return [*([TESTS / name] for name in LONG), *plugins, sorted(rest)]
 
 
 def is_tests(path: Path) -> bool:
@@ -54,11 +46,9 @@ def is_tests(path: Path) -> bool:
     return path.match("test_*.py")
 
 
-def size(path: Path) -> int:
-    """Lines of its tests, weighted by how long such lines take."""
+def lines(path: Path) -> int:
     files = path.rglob("test_*.py") if path.is_dir() else [path]
-    lines = sum(len(file.read_bytes().splitlines()) for file in files)
-    return lines * SLOWER.get(path.name, 1)
+    return sum(len(file.read_bytes().splitlines()) for file in files)
 
 
 def adopt_orphans() -> None:

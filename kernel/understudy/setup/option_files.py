@@ -97,7 +97,7 @@ class OptionFiles(ConfigRepository):
             state = self.states[config_path] = self.state(config_path)
             if state and state not in _read:
                 text = Path(str(state[0])).read_text(encoding="utf-8")
-                config = OmegaConf.create(yaml.load(text, _Loader) or {})
+                config = OmegaConf.create(_Loader(text).get_single_data() or {})
                 header = ConfigSource._get_header_dict(text[:512])
                 _read[state] = found = ConfigResult("understudy", str(state[0]), config, header)
                 found.is_schema_source = True  # for which Hydra seeks no schema

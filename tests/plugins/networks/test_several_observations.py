@@ -98,7 +98,7 @@ def test_one_name_is_what_it_was(kind: str) -> None:
         ({"observation": ["state", "extr"]}, "Did you mean 'extra'"),
         ({"critic": ["secrets"]}, "Did you mean 'secret'"),
         ({"observation": ["state", "image"]}, "needs a flat observation 'image'"),
-        ({"observation": 3}, "it takes"),
+        ({"observation": {"a": 3}}, "it takes"),
     ],
 )
 def test_refused(options: dict[str, Any], said: str) -> None:
