@@ -14,9 +14,11 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
 from understudy_dressing.leading import PORTIONS, Led
+from understudy_dressing.person import PersonScene
 from understudy_dressing.shirt import DRESSED, ShirtScene
 from understudy_dressing.terms import AlongWay
 from understudy_skills import bank
+from understudy_sweeps.film import scene_of
 
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
 SHIRT = ShirtScene(ShirtScene.Options(edge=0.032, substeps=5))
@@ -69,6 +71,11 @@ def test_it_leaves_states_of_the_way_and_what_follows(run: Path) -> None:
         assert torch.allclose(way[0], ends["way"][which, at + 1], atol=1e-5), "the next decision's"
 
 
+def test_a_film_shows_the_members_of_a_run_that_has_several(run: Path) -> None:
+    """As `understudy compare` draws one."""
+    assert {type(one) for one in scene_of(run).members.values()} == {PersonScene, ShirtScene}  # type: ignore[attr-defined]
+
+
 def test_the_second_arm_is_led_while_the_first_is_dressed(tmp_path: Path) -> None:
     """From its sleeve's mouth out to the other side, by the mirror image of the first one's way."""
     pose, cloth = SHIRT.settled("in_sleeve", "right", other_dressed=True)
@@ -106,6 +113,12 @@ def test_a_larger_shirt_in_more_substeps_hardly_tears(tmp_path: Path) -> None:
     assert ratios[0] < 2.1
     tucks, ends = (bank.load(tmp_path / "run" / name) for name in ("tucks", "ends"))
     assert torch.equal(tucks["way"][0, -1], ends["qpos"][0, :22]), "it ends under the hem"
+    words = [word for word in words if "held" not in word and not word.startswith(("job.bank", "run.dir"))]  # fmt: skip
+    words += ["job.back=true", f"job.bank={tmp_path}/run/ends", f"run.dir={tmp_path}/again"]
+    assert main(["train", "experiment=dressing/shirt_sleeve", "job=dressing/lead", *words]) == 0
+    again = bank.load(tmp_path / "again/ends")
+    assert torch.equal(again["qpos"], ends["qpos"]), "from under the hem, and into the sleeve"
+    assert not (tmp_path / "again/tucks").exists()
 
 
 def test_episodes_begin_in_them_and_are_paid_for_what_follows(run: Path) -> None:

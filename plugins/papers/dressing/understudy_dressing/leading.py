@@ -157,6 +157,7 @@ class Lead(Gathering):
     or of the second sleeve, where the other arm is in its own.
 
     If `held`, its states are of a held hem, and the arm goes under it first: ``tucks`` are states until there, whose way ends there.
+    From there, and if `back` from where a policy had brought the arm, the hand goes back along the chest to its shoulder.
     It leaves banks in the folders ``ends`` (where the arms began), ``low`` (the hem on its way down), ``half`` and ``near`` (the
     hand on its way, and nearer or in) and ``out`` (the arm on its way out), at rest but for the first, of those arms that
     went all the way through no cloth. Each state has the poses that follow as ``way`` (T, 22) rad, one a decision, the last
@@ -167,7 +168,9 @@ class Lead(Gathering):
     class Options:
         bank: str  #: the bank in which the arms begin, or the folder of the run that has it
         count: int = 24  #: how many of its states are led, evenly of all
-        lowers: float = 0.6  #: s, in which the hem comes down; if `held` each step of that
+        lowers: float = (
+            0.6  #: s, in which the hem comes down; if `held` or `back` each step of that
+        )
         speed: float = 0.8  #: m/s, of fingertip and elbow, which go their own ways
         most: float = 2.2  #: s, within which the hand has to be in
         out: float = 1.6  #: s, in which the arm goes out to its side
@@ -179,6 +182,9 @@ class Lead(Gathering):
         #: is lowered as the hand goes back to its shoulder; the bank `tucks` has the way until there
         held: bool = False
         goes: float = 0.6  #: s, from each place to the next on the way under the hem
+        #: whether the hand goes back to its shoulder as the hem is lowered, as it does if `held`: for arms of which a policy
+        #: has held the hem and brought the hand no further than under it
+        back: bool = False
         side: Side = "left"  #: the arm that goes in: the paper's first, or `right`, the second
 
         def __post_init__(self) -> None:
@@ -263,12 +269,13 @@ class Lead(Gathering):
                     return False
             return True
 
-        if options.held:
+        if options.held or options.back:
             mine = options.side
             other: Side = "left" if mine == "right" else "right"
-            for hand, place in (*_UNDER, *_BACK):
+            under = _UNDER if options.held else ()
+            for hand, place in (*under, *_BACK):
                 who = mine if hand == "in" else other
-                if not gone(who, place, -1 if (hand, place) in _UNDER else 0):
+                if not gone(who, place, -1 if (hand, place) in under else 0):
                     return places, way
         else:
             for k in steps(options.lowers):
@@ -289,7 +296,7 @@ class Lead(Gathering):
 
     def _keep(self, state: Mapping[str, Tensor], places: list[Place], way: np.ndarray) -> None:
         options, every = self.options, self._every
-        first = options.lowers * (len(_BACK) if options.held else 1)
+        first = options.lowers * (len(_BACK) if options.held or options.back else 1)
         longest = round((first + options.most + options.out) / PERIOD) // every + 1
         decisions = torch.from_numpy(np.concatenate([way[every - 1 :: every], way[-1:]])).float()
 

@@ -152,6 +152,7 @@ def scene_of(folder: Path) -> Scene:
         substeps=root.control.substeps,
         registry=experiment.registry,
         sections=build_sections(experiment),
+        chosen=experiment.choices,
         inputs=experiment.inputs,
     )
     try:
