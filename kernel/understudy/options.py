@@ -1,4 +1,5 @@
-"""Options of components: declared by a dataclass or by keyword-only parameters, checked at the border.
+"""Options of components: declared by a dataclass or by keyword-only parameters,
+checked at the border.
 
 One declaration serves the command line, the checks and the error messages.
 """
@@ -17,9 +18,16 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED", "Option", "as_yaml", "check_range", "checked_options", "in_words",
-    "make_options", "options_of", "schema_of",
-]  # fmt: skip
+    "REQUIRED",
+    "Option",
+    "as_yaml",
+    "check_range",
+    "checked_options",
+    "in_words",
+    "make_options",
+    "options_of",
+    "schema_of",
+]
 
 
 @dataclass(frozen=True)
@@ -36,7 +44,8 @@ REQUIRED: Any = inspect.Parameter.empty
 
 @dataclass(eq=False)
 class Typed:
-    """A number or a truth value of which its value does not say how it was typed: ``1e3``, ``0012``, ``on``."""
+    """A number or a truth value of which its value does not say how it was typed: ``1e3``,
+    ``0012``, ``on``."""
 
     value: Any
     text: str
@@ -163,7 +172,8 @@ def untyped(value: Any) -> Any:
 
 
 def as_yaml(value: Any) -> str:
-    """`value` as one writes it into a configuration: ``null``, ``true``, ``[1, 2]``, ``{a: 'b'}``."""
+    """`value` as one writes it into a configuration: ``null``, ``true``, ``[1, 2]``,
+    ``{a: 'b'}``."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, Mapping):
@@ -234,9 +244,9 @@ def check_range(
     most: float | None = None,
 ) -> None:
     """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers that have
-    a least are sizes or counts, of which :data:`MANY` are the most unless `most` says otherwise. A
-    ValueError names the one that does not."""
+    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers
+    that have a least are sizes or counts, of which :data:`MANY` are the most unless `most` says
+    otherwise. A ValueError names the one that does not."""
     for name in names:
         given = getattr(options, name)
         for value in given if isinstance(given, tuple) else (given,):
@@ -265,7 +275,8 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are errors."""
+    """`values` coerced to the types of `options`, and their defaults;
+    unknown and missing ones are errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

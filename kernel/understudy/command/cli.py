@@ -136,7 +136,8 @@ class _Parser(argparse.ArgumentParser):
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser = _Parser(
         "understudy",
-        description="Simulated characters learn physical skills. First `train`, then `play` or open report.html in the run folder.",
+        description="Simulated characters learn physical skills. First `train`, then `play` or "
+        "open report.html in the run folder.",
         epilog=_text("help.txt"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -147,7 +148,8 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands, all of which are plugins'; only the one that is asked for is imported, and there alone."""
+    """The commands, all of which are plugins'; only the one that is asked for is imported,
+    and there alone."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")

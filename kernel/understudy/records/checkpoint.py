@@ -79,7 +79,8 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
-    """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
+    """Write `state` (nested mappings of tensors, numbers, strings, lists)
+    as the checkpoint `path`."""
     file, tensor_file = _files(path)
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors, _Room())
@@ -262,8 +263,8 @@ def load_newest(
 
 
 def prune(folder: Path, keep: int, last: Path | None = None) -> None:
-    """Delete all but the `keep` newest checkpoints and the `last` that was written, and leftovers of
-    interrupted writes. What is numbered higher than the last was damaged."""
+    """Delete all but the `keep` newest checkpoints and the `last` that was written, and leftovers
+    of interrupted writes. What is numbered higher than the last was damaged."""
     for path in (p for p in newest(folder)[keep:] if p != last):
         path.with_suffix(".json").unlink(missing_ok=True)
     for path in folder.glob("*.safetensors"):

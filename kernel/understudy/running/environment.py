@@ -31,15 +31,20 @@ from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment"]
 
-#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
-#: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
-#: term or one that only reports) are set once this step's terminations are known, so only rewards
-#: and measures may read them; ``reward`` is the step's, for measures only.
-OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
-    ("episode_time", "episode_step", "episode_limit", "difficulty",
-     "failed", "succeeded", "violated", "reward"),
-    (),
-)  # fmt: skip
+#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any
+#: field before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a
+#: failure term or one that only reports) are set once this step's terminations are known, so only
+#: rewards and measures may read them; ``reward`` is the step's, for measures only.
+OWN_FIELDS: dict[str, Shape] = {
+    "episode_time": (),
+    "episode_step": (),
+    "episode_limit": (),
+    "difficulty": (),
+    "failed": (),
+    "succeeded": (),
+    "violated": (),
+    "reward": (),
+}
 _PREVIOUS = "previous_"
 
 # A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
@@ -50,8 +55,8 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
     """Run a method of the environment with settings of its own, whatever the learner has chosen.
 
     Matrix products are full float32: TF32 keeps three digits, too few for positions and rotations.
-    On the CPU there is one torch thread: the tensors are small, so more would gain nothing, and idle
-    ones of torch's pool would spin on the cores that the simulator's threads need.
+    On the CPU there is one torch thread: the tensors are small, so more would gain nothing, and
+    idle ones of torch's pool would spin on the cores that the simulator's threads need.
     """
 
     @functools.wraps(method)
@@ -174,7 +179,8 @@ class Environment:
 
     @property
     def observation_columns(self) -> dict[str, tuple[str, ...]]:
-        """By observation the names of its columns, in order, flattened; numbers where it has none."""
+        """By observation the names of its columns, in order, flattened;
+        numbers where it has none."""
         return {
             name: tuple(e.part.columns) or tuple(map(str, range(math.prod(e.part.shape))))
             for name, e in self.parts.encoders.items()
@@ -216,9 +222,11 @@ class Environment:
         )
         wanted = list(self.readers())
         previous = {
-            name for _, names in wanted for name in names
+            name
+            for _, names in wanted
+            for name in names
             if name.startswith(_PREVIOUS) and name not in table.shapes and exists(name)
-        }  # fmt: skip
+        }
         table.add(
             {name: table.shapes[name.removeprefix(_PREVIOUS)] for name in sorted(previous)},
             "the environment",
@@ -236,9 +244,8 @@ class Environment:
     def readers(self) -> Iterator[tuple[str, Sequence[str]]]:
         """Every part that reads fields, by its place in the configuration, and which ones."""
         parts = self.parts
-        for part in (
-            *parts.fields, *parts.encoders.values(), parts.actuation, *parts.memories.values()
-        ):  # fmt: skip
+        encoders, memories = parts.encoders.values(), parts.memories.values()
+        for part in (*parts.fields, *encoders, parts.actuation, *memories):
             yield part.where, tuple(part.reads.values())
         for term in (*parts.rewards, *parts.terminations, *parts.measures):
             yield term.where, tuple(term.reads.values())
@@ -249,8 +256,8 @@ class Environment:
     def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
 
-        With `seed`, the random streams begin anew too, so what follows repeats exactly; `draw` names
-        other streams of that seed, so that an evaluation begins where no training ever did.
+        With `seed`, the random streams begin anew too, so what follows repeats exactly; `draw`
+        names other streams of that seed, so that an evaluation begins where no training ever did.
         """
         if seed is not None:
             end = f"/{draw}" if draw else ""
@@ -281,8 +288,8 @@ class Environment:
 
     @_as_physics
     def advance(self, action: Tensor) -> Step:
-        """Apply `action` (N, A) for one decision and judge the states reached. They stay as they are,
-        to be read, recorded or harvested, until :meth:`begin`."""
+        """Apply `action` (N, A) for one decision and judge the states reached. They stay as they
+        are, to be read, recorded or harvested, until :meth:`begin`."""
         parts, table = self.parts, self.table
         self._remember()
         self.action.copy_(action)
@@ -425,7 +432,8 @@ class Environment:
         }
 
     def _first(self) -> dict[str, Tensor]:
-        """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
+        """The observations after :meth:`_begin`;
+        zero in worlds that began unsound and fail next."""
         return {name: without_unsound(value) for name, value in self.encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:

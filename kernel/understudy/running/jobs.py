@@ -1,4 +1,5 @@
-"""What a run iterates. All jobs have budget, checkpoints, progress, resume, sweeps and provenance."""
+"""What a run iterates. All jobs have budget, checkpoints, progress, resume,
+sweeps and provenance."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ __all__ = ["Job", "Judgement"]
 
 @dataclass(frozen=True)
 class Judgement(ABC):
-    """What an evaluation found. How episodes are counted, and what else is measured, is the job's."""
+    """What an evaluation found. How episodes are counted, and what else is measured,
+    is the job's."""
 
     episodes: int
     success: str = ""  #: what a success is, in words
@@ -91,7 +93,8 @@ class Job(ABC):
         return False
 
     def sharpen(self) -> str:
-        """Switch to the physics that counts; returns what it is, in a few words. Only if `coarse`."""
+        """Switch to the physics that counts; returns what it is, in a few words.
+        Only if `coarse`."""
         raise NotImplementedError
 
     def rehearse(
@@ -107,8 +110,8 @@ class Job(ABC):
         """Judge what was learned on data of the name `draw`, which iterations never use."""
 
     def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Judgement] | None:
-        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz. None where
-        there is no physics."""
+        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz.
+        None where there is no physics."""
         return None
 
     def record(

@@ -1,4 +1,5 @@
-"""The state fields of a task: each computed when first asked for, forgotten when the state changes."""
+"""The state fields of a task: each computed when first asked for,
+forgotten when the state changes."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from understudy.task.terms import Wired
 class FieldTable:
     """Values of state fields at the present state.
 
-    Fields come from the simulator, from the environment (`own`), or from providers, which read other fields.
+    Fields come from the simulator, from the environment (`own`), or from providers,
+    which read other fields.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """The loop of every run: iterate a job, record, evaluate now and then, and stop for a reason.
 
-The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`, so a run that is
-stopped at any moment continues from its last checkpoint as if it had never stopped; on the CPU, to the last bit.
+The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`,
+so a run that is stopped at any moment continues from its last checkpoint as if it had never
+stopped; on the CPU, to the last bit.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class Progress:
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
-    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being made.
+    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being
+    #: made.
     pending: dict[str, Any] = field(default_factory=dict)
 
     def state_dict(self) -> State:
@@ -96,7 +98,8 @@ class Training:
         return {**self.job.state_dict(), "progress": self.progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`, or a RunError that names the first place at which it is not as ours."""
+        """Continue from `state`,
+        or a RunError that names the first place at which it is not as ours."""
         self._load(state, self.state_dict(), self.job.load_state_dict)
 
     def load_learned(self, state: State) -> None:
@@ -130,27 +133,30 @@ class Training:
         return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run; one that was stopped before the first starts from the
-        beginning.
+        """Load the newest intact checkpoint of the run;
+        one that was stopped before the first starts from the beginning.
 
         Raises
         ------
         RunError
-            if the checkpoint is not of a training, or does not fit; or if none is left of one that was under way.
+            if the checkpoint is not of a training, or does not fit;
+            or if none is left of one that was under way.
         """
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
                 raise RunError(
-                    f"{self.run.checkpoints} has no checkpoint, so the training that {self.run.metrics_file.name} tells of "
-                    "cannot go on. Restore the checkpoints from a copy, or train anew in another folder."
+                    f"{self.run.checkpoints} has no checkpoint, so the training that "
+                    f"{self.run.metrics_file.name} tells of cannot go on. Restore the checkpoints "
+                    "from a copy, or train anew in another folder."
                 )
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)
         if "config" not in meta:  # as of an unpacked skill
             raise RunError(
-                f"{self.run.path} holds what was learned, but not where the training stood. Begin another one with it: "
+                f"{self.run.path} holds what was learned, but not where the training stood. "
+                "Begin another one with it: "
                 f"`understudy train experiment=NAME start.run={self.run.path}`."
             )
         for change in differences(meta.get("config"), self.run.config):
@@ -159,8 +165,9 @@ class Training:
             self.reporter.message(f"Version differs from the checkpoint: {change}")
         if meta.get("threads", threads()) != threads() and self.job.device.type == "cpu":
             self.reporter.message(
-                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the bits are the same "
-                f"only with an equal number: OMP_NUM_THREADS={meta['threads']}."
+                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU "
+                "the bits are the same only with an equal number: "
+                f"OMP_NUM_THREADS={meta['threads']}."
             )
         self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
@@ -189,7 +196,8 @@ class Training:
         }
 
     def train(self) -> str:
-        """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
+        """Iterate until the ``criterion`` is met, the ``budget`` is spent,
+        or the job is ``finished``.
 
         Raises
         ------
@@ -277,7 +285,8 @@ class Training:
         )
 
     def _sharpen_if_ripe(self) -> dict[str, float]:
-        """Leave coarse physics once the criterion is met with it, or enough of the budget is spent."""
+        """Leave coarse physics once the criterion is met with it,
+        or enough of the budget is spent."""
         if not self.job.coarse():
             return {}
         ripe = self._rehearsed or self._spent() >= self.experiment.root.resolution.budget
@@ -302,8 +311,8 @@ class Training:
         return max(options.every_samples, 1)
 
     def _evaluate_if_due(self) -> dict[str, float]:
-        """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on
-        a second, larger one. Returns the figures for the row of metrics."""
+        """Evaluate now and then; the criterion is met when it holds on one draw of starts and then
+        on a second, larger one. Returns the figures for the row of metrics."""
         options, progress, met = self.experiment.root.evaluation, self.progress, False
         if not self._due():
             return {}
@@ -333,7 +342,8 @@ class Training:
         return evaluation
 
     def judge(self, record_seconds: float | None = None) -> tuple[Judgement, Recording | None]:
-        """The last evaluation, on starts that no other evaluation drew; recorded for `record_seconds`."""
+        """The last evaluation, on starts that no other evaluation drew;
+        recorded for `record_seconds`."""
         episodes = self.experiment.root.evaluation.final_episodes
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None

@@ -23,9 +23,16 @@ from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "option_directories",
-    "options", "refuse_resolvers", "replaced", "split_overrides",
-]  # fmt: skip
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "option_directories",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "split_overrides",
+]
 
 
 @contextlib.contextmanager
@@ -48,16 +55,18 @@ _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
 def _check_length(text: str, overrides: int = 1) -> None:
-    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in which Hydra
-    reads one grows with the square of its length."""
+    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in
+    which Hydra reads one grows with the square of its length."""
     if len(text) > overrides * _LONGEST:
         raise ConfigError(
-            f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are read. Shorten it."
+            f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are "
+            "read. Shorten it."
         )
 
 
 def readable(override: str) -> str:
-    """`override` with its value quoted where it is outside Hydra's grammar, as names of files may be."""
+    """`override` with its value quoted where it is outside Hydra's grammar,
+    as names of files may be."""
     key, equals, value = override.partition("=")
     if not equals or _PLAIN.fullmatch(override) or key != key.strip():
         return override
@@ -89,8 +98,8 @@ def readable(override: str) -> str:
 
 
 def _each_word(value: str, mend: Callable[[str], str]) -> str:
-    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word in it that
-    is not quoted. Brackets after an equals sign are the word's own."""
+    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word
+    in it that is not quoted. Brackets after an equals sign are the word's own."""
     result, word, depth, quote, within = "", "", 0, "", [""]
 
     def ended() -> str:
@@ -167,8 +176,8 @@ _RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
 
 
 def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
-    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would be
-    filled in from this machine (``${oc.env:NAME}``)."""
+    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would
+    be filled in from this machine (``${oc.env:NAME}``)."""
     for override in overrides:
         if _RESOLVER.search(override):
             raise ConfigError(
@@ -189,7 +198,10 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
         return f"There is no {group}={name}.{suggestion(name, options(plugins, group))}"
     if slashed := re.search(r"Could not override '(\w+/[\w/]+)'", text):
         dotted = slashed[1].replace("/", ".")
-        return f"There is no configuration key '{slashed[1]}'. A part's option has dots: {dotted}=VALUE."
+        return (
+            f"There is no configuration key '{slashed[1]}'. A part's option has dots: "
+            f"{dotted}=VALUE."
+        )
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
         if slot := plugins.registry.slots.get(stray[1]):
@@ -198,13 +210,16 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
         return unknown_key(stray[1], plugins.registry)
     if unknown := re.search(r"Interpolation key '([^']*)' not found", text):
-        return f"${{{unknown[1]}}} takes the value of a key, and there is none of this name. As text it has a backslash: \\${{{unknown[1]}}}."
+        return (
+            f"${{{unknown[1]}}} takes the value of a key, and there is none of this name. "
+            f"As text it has a backslash: \\${{{unknown[1]}}}."
+        )
     return text or type(error).__name__
 
 
 def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
-    """That `path` needs a value, and which: what the files that `overrides` choose, or those that these
-    build on, say of it in a comment ``# needs PATH: …``."""
+    """That `path` needs a value, and which: what the files that `overrides` choose, or those that
+    these build on, say of it in a comment ``# needs PATH: …``."""
     choices = [tuple(o.lstrip("+").partition("=")[::2]) for o in overrides]
     for group, name in choices:  # grows
         file = options(plugins, group).get(name) if group.isidentifier() else None
@@ -222,8 +237,8 @@ def option_directories(plugins: Plugins) -> list[Path]:
 
 
 def options(plugins: Plugins, group: str) -> dict[str, Path]:
-    """The options that files offer for `group`, as one types them, and their files. Those whose name begins
-    with an underscore are for other files to build on."""
+    """The options that files offer for `group`, as one types them, and their files. Those whose
+    name begins with an underscore are for other files to build on."""
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
         for folder in option_directories(plugins)
@@ -241,8 +256,8 @@ def _is_value(key: str, plugins: Plugins) -> bool:
 
 
 def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
-    """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions; validation
-    knows which ones exist."""
+    """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions;
+    validation knows which ones exist."""
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
@@ -260,7 +275,8 @@ _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)"
 
 
 def _as_typed(word: str, sets: bool = True) -> str:
-    """`word`; a number in quotes, where it is no value (`sets`), or a mark if its value does not say how it was typed."""
+    """`word`; a number in quotes, where it is no value (`sets`),
+    or a mark if its value does not say how it was typed."""
     value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
     mark = marked(value, word) if sets else word
     return word if mark is value else f"'{mark}'"  # NaN equals nothing
@@ -269,9 +285,9 @@ def _as_typed(word: str, sets: bool = True) -> str:
 def split_overrides(
     overrides: Sequence[str], plugins: Plugins
 ) -> tuple[list[str], dict[str, str], set[str]]:
-    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a section
-    whatever else chooses it, since Hydra has no null for a group of options; and the groups for which an
-    override chooses a file (``policy=mlp``)."""
+    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a
+    section whatever else chooses it, since Hydra has no null for a group of options; and the groups
+    for which an override chooses a file (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}

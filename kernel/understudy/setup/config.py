@@ -79,8 +79,11 @@ class Experiment:
         return found or Chosen("job", self.registry.find("job", USUAL_JOB, "job"), None, "job")
 
     def __repr__(self) -> str:
-        slots = (f"{slot}={'+'.join(c.component.name for c in self.choices[slot])}"
-                 for slot in self.choices if self.choices[slot])  # fmt: skip
+        slots = [
+            f"{slot}={'+'.join(c.component.name for c in chosen)}"
+            for slot, chosen in self.choices.items()
+            if chosen
+        ]
         return f"Experiment({', '.join(slots)}; seed {self.root.seed})"
 
     def components(self) -> Iterator[Component]:

@@ -1,7 +1,8 @@
-"""Hydra's composing from files of options, less its own settings and its reading the same file twice.
+"""Hydra's composing from files of options,
+less its own settings and its reading the same file twice.
 
-Hydra's compose API adds thirteen files for launchers, sweepers and logging to the seven that a composition
-needs, and throws them away.
+Hydra's compose API adds thirteen files for launchers, sweepers and logging to the seven that a
+composition needs, and throws them away.
 """
 
 from __future__ import annotations
@@ -46,12 +47,14 @@ def parsed(override: str) -> Override:
     return OverridesParser.create().parse_overrides([override])[0]
 
 
-#: The values of marks, which stand for numbers as they are typed while Hydra composes: it takes YAML's values alone.
+#: The values of marks, which stand for numbers as they are typed while Hydra composes: it takes
+#: YAML's values alone.
 _marks: dict[str, Any] = {}
 
 
 def marked(value: Any, text: str) -> Any:
-    """`value`, or its mark where it is a number or a truth value and does not say that `text` was typed."""
+    """`value`,
+    or its mark where it is a number or a truth value and does not say that `text` was typed."""
     if type(value) not in (bool, int, float) or as_yaml(value) == text:
         return value
     _marks[mark := f"\ue000{text}\ue001"] = value
@@ -64,7 +67,8 @@ def unmarked(text: str) -> str:
 
 
 def typed(value: Any) -> Any:
-    """The nested `value` with a :class:`Typed` in place of every mark; in keys and in texts what was typed."""
+    """The nested `value` with a :class:`Typed` in place of every mark;
+    in keys and in texts what was typed."""
     if isinstance(value, Mapping):
         return {unmarked(k) if isinstance(k, str) else k: typed(v) for k, v in value.items()}
     if not isinstance(value, str):
@@ -147,7 +151,8 @@ def _sets(override: Override, files: OptionFiles) -> bool:
 
 
 def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
-    """What the files have that `overrides` choose, composed anew only if one of them has changed."""
+    """What the files have that `overrides` choose,
+    composed anew only if one of them has changed."""
     key = (*(source.path for source in files.sources), *overrides)
     states, config = _composed.get(key, ({}, None))
     if config is None or any(files.state(path) != state for path, state in states.items()):

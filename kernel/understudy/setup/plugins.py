@@ -1,9 +1,11 @@
-"""Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins bring.
+"""Loading plugins: entry points, tables, pluggy's hook,
+and the folders of options that plugins bring.
 
-A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
-(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. The hook below,
-marked with ``@understudy.hookimpl``, registers what has to be found out; a module that has it says ``REQUIRES``
-if its tables are to be read, too. The bundled plugins are loaded exactly like a stranger's.
+A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in
+tables (:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside
+it. The hook below, marked with ``@understudy.hookimpl``, registers what has to be found out; a
+module that has it says ``REQUIRES`` if its tables are to be read, too. The bundled plugins are
+loaded exactly like a stranger's.
 """
 
 from __future__ import annotations
@@ -64,9 +66,10 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     """Load all installed plugins, or just those named in `only`, plus `extra` (name, module) pairs.
 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
-    leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be read, or
-    provides what an earlier one provides already is recorded in ``registry.broken``, with nothing of it
-    kept; the others still load. The bundled plugins come first, then the others by name.
+    leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be
+    read, or provides what an earlier one provides already is recorded in ``registry.broken``, with
+    nothing of it kept; the others still load. The bundled plugins come first, then the others by
+    name.
 
     Raises
     ------
@@ -91,7 +94,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         if first.value != entry.value:
             other, by = about(first.dist)[0] or "another distribution", distribution or entry.value
             error = PluginError(
-                f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or rename its plugin."
+                f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or "
+                "rename its plugin."
             )
             _isolate(result, LoadedPlugin(f"{entry.name} of {by}", distribution, version), error)
         elif first is entry:  # else the same distribution, seen twice on the path
@@ -169,7 +173,8 @@ def kernel_conf() -> Path:
 
 
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
-    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot be read."""
+    """By plugin: a config option that the kernel or an earlier plugin provides already,
+    or that cannot be read."""
     owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
@@ -192,7 +197,8 @@ _BYTES, _VALUES = 2**20, 10**5
 
 
 def _unreadable(file: Path) -> str:
-    """Why a file of options cannot be read, if so. What repeats itself by anchors is not written out."""
+    """Why a file of options cannot be read, if so.
+    What repeats itself by anchors is not written out."""
     import yaml
 
     values: dict[int, int] = {}

@@ -133,7 +133,8 @@ class Component:
 class Section:
     """A top-level part of the configuration that a plugin owns (for example ``motion``).
 
-    ``build(options, registry, inputs)`` makes the object that components find under ``context.sections[name]``.
+    ``build(options, registry, inputs)`` makes the object that components find under
+    ``context.sections[name]``.
     """
 
     name: str
@@ -161,8 +162,8 @@ def _check_texts(plugin: str, what: str, name: Any, *texts: Any) -> None:
 
 
 def _refuse_twice(other: Component | Entry | Section | None, plugin: str, what: str) -> None:
-    """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already, or
-    under a name that is not as it is typed."""
+    """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already,
+    or under a name that is not as it is typed."""
     if "." in what:
         typed = what.replace(".", "/")
         raise PluginError(f"Plugin '{plugin}' registers the {what}. Write it as the {typed}.")
@@ -188,7 +189,8 @@ class Registry:
     broken: dict[str, str] = field(default_factory=dict)
 
     def clashing_commands(self) -> dict[str, PluginError]:
-        """Once all plugins are loaded: by plugin, a command that cannot be typed, or is another's by then."""
+        """Once all plugins are loaded: by plugin, a command that cannot be typed,
+        or is another's by then."""
         whole, groups = set[str](), set[str]()
         faults: dict[str, PluginError] = {}
         for c in (c for c in self.components.values() if c.kind == "command"):
@@ -271,8 +273,8 @@ class Registrar:
         self.registry.add(Component(kind, name, target, *origin, summary))
 
     def tables(self, module: Any) -> None:
-        """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it has them.
-        A place, ``"module:name"``, is within the module's package."""
+        """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it
+        has them. A place, ``"module:name"``, is within the module's package."""
         package = getattr(module, "__package__", None)
 
         def at(place: Any) -> Any:
@@ -336,7 +338,8 @@ class Registrar:
         self.registry.slots[name] = Slot(name, kind, summary, many, self.plugin)
 
     def citation(self, key: str, text: str) -> None:
-        """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
+        """Record how to cite what the plugin implements;
+        kept with every run that uses the plugin."""
         _check_texts(self.plugin, "citation", key, text)
         if (self.plugin, key) in self.registry.citations:
             raise PluginError(f"Plugin '{self.plugin}' gives the citation '{key}' twice.")

@@ -43,7 +43,8 @@ class Context:
     decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
     evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
-    #: As ``substeps``, of the task itself: trainings may begin coarser, and a result is tried finer.
+    #: As ``substeps``, of the task itself: trainings may begin coarser, and a result is tried
+    #: finer.
     own_substeps: int | None = None
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
@@ -70,7 +71,8 @@ class Context:
         return self._shared[key]
 
     def need_scene(self, kind: type[T], who: str) -> T:
-        """The scene, or the one of its members, that is a `kind`; else an error naming `who` needs it."""
+        """The scene, or the one of its members, that is a `kind`;
+        else an error naming `who` needs it."""
         scenes = [self.scene, *(self.scene.members.values() if self.scene else ())]
         found = [scene for scene in scenes if isinstance(scene, kind)]
         if len(found) != 1:
