@@ -45,11 +45,10 @@ REQUIRED: Any = inspect.Parameter.empty
 @dataclass(eq=False)
 class Typed:
     """A number or a truth value of which its value does not say how it was typed: ``1e3``,
-    ``0012``, ``on``."""
+    ``0012``, ``on``. An option that takes text makes that its value."""
 
     value: Any
     text: str
-    taken: bool = False  #: whether an option took the text
 
     def __repr__(self) -> str:
         return self.text
@@ -95,7 +94,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
-        return untyped(value)
+        return plain(value)
     if origin in (typing.Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
@@ -111,8 +110,9 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
                     raise _not_of(attempts, value, where) from None
     if isinstance(value, (int, float, Typed)):
         number = value if isinstance(value, Typed) else Typed(value, as_yaml(value))
-        number.taken |= annotation is str or (origin is typing.Literal and number.text in arguments)
-        value = untyped(number)
+        if annotation is str or (origin is typing.Literal and number.text in arguments):
+            number.value = number.text
+        value = number.value
     if origin is typing.Literal:
         if value in arguments:
             return value
@@ -162,13 +162,14 @@ def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from items(item, f"{path}[{i}]")
 
 
-def untyped(value: Any) -> Any:
-    """`value` with numbers for what was typed as one, unless an option took the text."""
+def plain(value: Any) -> Any:
+    """The nested `value` as plain data, with numbers for what was typed as one, unless an option
+    took the text."""
     if isinstance(value, Mapping):
-        return {key: untyped(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [untyped(item) for item in value]
-    return (value.text if value.taken else value.value) if isinstance(value, Typed) else value
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return value.value if isinstance(value, Typed) else value
 
 
 def as_yaml(value: Any) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from os.path import exists
@@ -15,7 +16,7 @@ from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
-from understudy.options import items, untyped
+from understudy.options import items, plain
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import compose, marked, parsed, typed, unmarked
 from understudy.setup.plugins import Plugins, installed, kernel_conf
@@ -261,25 +262,24 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
-        plain = bool(equals and key) and key[0] not in "+~"
         sets = "." in key or value.startswith("{") or _is_value(key, plugins)
-        if _NUMERAL.search(value) and key[0] != "~":
-            several = sets and value[0] in "[{"
-            value = _each_word(value, _as_typed) if several else _as_typed(value, sets)
-            override = f"{key}={value}"
-        result.append(f"++{override}" if plain and sets else override)
+        if not key.startswith("~"):
+            mend = functools.partial(_as_typed, sets=sets)
+            override = f"{key}{equals}{_each_word(value, mend)}"
+        signed = key.startswith(("+", "~"))
+        result.append(f"++{override}" if sets and equals and not signed else override)
     return result
 
 
 _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)", re.IGNORECASE)
 
 
-def _as_typed(word: str, sets: bool = True) -> str:
-    """`word`; a number in quotes, where it is no value (`sets`),
-    or a mark if its value does not say how it was typed."""
-    value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
-    mark = marked(value, word) if sets else word
-    return word if mark is value else f"'{mark}'"  # NaN equals nothing
+def _as_typed(word: str, sets: bool) -> str:
+    """`word`; of a number its mark in quotes, or itself where it names a file (not `sets`)."""
+    if not _NUMERAL.fullmatch(word):
+        return word
+    text = marked(parsed(f"x={word}").value(), word) if sets else word
+    return f"'{text}'" if isinstance(text, str) else word
 
 
 def split_overrides(
@@ -363,9 +363,9 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
     with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text
-        if given != untyped(given):
+        if given != plain(given):
             validate(given, plugins.registry)
-    return untyped(given)
+    return plain(given)
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

@@ -10,6 +10,7 @@ from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
+from understudy.options import plain
 from understudy.setup.registry import Component, Registry
 from understudy.setup.root import Root
 
@@ -121,7 +122,7 @@ class Experiment:
     def effective(self) -> dict[str, Any]:
         """The configuration as plain data, every default filled in; validates to the same, also
         where plugins that it does not use are absent."""
-        found = _plain_data(dataclasses.asdict(self.root))
+        found = plain(dataclasses.asdict(self.root))
         for slot in self.registry.slots.values():
             chosen = self.choices[slot.name]
             if not chosen and slot.plugin:
@@ -129,17 +130,10 @@ class Experiment:
             value: Any = {c.name: c.effective() for c in chosen}
             if not slot.many:
                 value = chosen[0].effective() if chosen else None
-            _put(found, slot.name, _plain_data(value))
+            _put(found, slot.name, plain(value))
         for name, options in self.sections.items():
-            found[name] = _plain_data(dataclasses.asdict(options))
+            found[name] = plain(dataclasses.asdict(options))
         return found
-
-
-def _plain_data(value: Any) -> Any:
-    """Tuples as lists: what JSON and YAML have."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain_data(v) for k, v in value.items()}
-    return [_plain_data(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
 def _put(tree: dict[str, Any], path: str, value: Any) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -47,9 +48,9 @@ def parsed(override: str) -> Override:
     return OverridesParser.create().parse_overrides([override])[0]
 
 
-#: The values of marks, which stand for numbers as they are typed while Hydra composes: it takes
-#: YAML's values alone.
-_marks: dict[str, Any] = {}
+#: While Hydra composes, which takes YAML's values alone, the value and the text of a number as it
+#: was typed are a text: its mark.
+_MARK = re.compile("\ue000(.*?)\ue001([^\ue002]*)\ue002")
 
 
 def marked(value: Any, text: str) -> Any:
@@ -57,23 +58,23 @@ def marked(value: Any, text: str) -> Any:
     or its mark where it is a number or a truth value and does not say that `text` was typed."""
     if type(value) not in (bool, int, float) or as_yaml(value) == text:
         return value
-    _marks[mark := f"\ue000{text}\ue001"] = value
-    return mark
+    return f"\ue000{json.dumps(value)}\ue001{text}\ue002"
 
 
 def unmarked(text: str) -> str:
     """`text` with what was typed in place of marks."""
-    return re.sub("\ue000(.*?)\ue001", r"\1", text)
+    return _MARK.sub(r"\2", text)
 
 
 def typed(value: Any) -> Any:
     """The nested `value` with a :class:`Typed` in place of every mark;
     in keys and in texts what was typed."""
     if isinstance(value, Mapping):
-        return {unmarked(k) if isinstance(k, str) else k: typed(v) for k, v in value.items()}
-    if not isinstance(value, str):
-        return list(map(typed, value)) if isinstance(value, list) else value
-    return Typed(_marks[value], unmarked(value)) if value in _marks else unmarked(value)
+        return {unmarked(str(key)): typed(item) for key, item in value.items()}
+    if isinstance(value, str):
+        mark, text = _MARK.fullmatch(value), unmarked(value)
+        return Typed(json.loads(mark[1]), text) if mark else text
+    return list(map(typed, value)) if isinstance(value, list) else value
 
 
 class _Loader(get_yaml_loader()):

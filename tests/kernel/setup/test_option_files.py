@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from understudy.options import untyped
+from understudy.options import plain
 from understudy.setup.composition import compose_raw, option_directories
 from understudy.setup.option_files import OptionFiles, compose, parsed, typed
 from understudy.setup.plugins import Plugins
@@ -110,7 +110,7 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
 def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
     folders = option_directories(plugins)
     ours = OmegaConf.to_container(compose(folders, overrides))
-    assert untyped(typed(ours)) == OmegaConf.to_container(hydras(folders, overrides))
+    assert plain(typed(ours)) == OmegaConf.to_container(hydras(folders, overrides))
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:
