@@ -66,7 +66,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         root=root,
         choices=choices,
         sections={
-            name: make_options(section.schema(), raw[name], name)
+            name: make_options(section.options.factory, raw[name], name)
             for name, section in registry.sections.items()
             if raw.get(name) is not None
         },

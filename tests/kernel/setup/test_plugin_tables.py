@@ -78,12 +78,12 @@ def test_all_tables_are_registered(package: ModuleType) -> None:
     assert [registry.slots[name].many for name in ("paint", "layers")] == [False, True]
     assert registry.find("paint", "data/red").target == "house_of_data.colours:Red"
     section = registry.sections["canvas"]
-    assert (section.options, section.build) == (
+    assert (section.options.target, section.build.target) == (
         "house_of_data.colours:Options",
         "house_of_data.colours:build",
     )
     assert registry.tasks["data/draw"].plugin == "data"
-    assert registry.citations["data", "data"] == "Newton 1704. Opticks."
+    assert registry.citations["data", "data"].summary == "Newton 1704. Opticks."
     assert dict(plugins.config_directories())["data"] == Path(str(package.__file__)).parent / "conf"
 
 
