@@ -217,7 +217,7 @@ def in_words(annotation: Any) -> str:
     return getattr(annotation, "__name__", str(annotation))
 
 
-def make_options(schema: type, values: Any, where: str) -> Any:
+def make_options(schema: Any, values: Any, where: str) -> Any:
     """The dataclass `schema` filled from the mapping `values`; errors name the key path `where`."""
     if isinstance(values, schema):
         return values

@@ -282,8 +282,10 @@ class Registrar:
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
-        parts = (Component("section", name, target, self.plugin) for target in (options, build))
-        self._add("section", self.registry.sections, name, Section(name, *parts, self.plugin))
+        schema = Component("section", name, options, self.plugin)
+        maker = Component("section", name, build, self.plugin)
+        section = Section(name, schema, maker, self.plugin)
+        self._add("section", self.registry.sections, name, section)
 
     def kind(self, name: str, summary: str) -> None:
         """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
