@@ -1,5 +1,4 @@
-"""Folders and files that may be a stranger's: nothing outside is reached,
-nothing endless is read."""
+"""Folders and files that may be a stranger's: nothing outside is reached, nothing endless is read."""
 
 from __future__ import annotations
 

@@ -55,8 +55,7 @@ class Inputs:
         return source
 
     def copy(self, folder: Path) -> dict[str, dict[str, str]]:
-        """Copy what was read into `folder`, and read it there from now on;
-        all that is kept there."""
+        """Copy what was read into `folder`, and read it there from now on; all that is kept there."""
         for asked, paths in self._read.items():
             top, self.kept[asked] = paths[0].absolute().parent, {}
             for path in map(Path.absolute, paths):

@@ -1,5 +1,4 @@
-"""Options of components: declared by a dataclass or by keyword-only parameters,
-checked at the border.
+"""Options of components: declared by a dataclass or by keyword-only parameters, checked at the border.
 
 One declaration serves the command line, the checks and the error messages.
 """
@@ -173,8 +172,7 @@ def plain(value: Any) -> Any:
 
 
 def as_yaml(value: Any) -> str:
-    """`value` as one writes it into a configuration: ``null``, ``true``, ``[1, 2]``,
-    ``{a: 'b'}``."""
+    """`value` as one writes it into a configuration: ``null``, ``true``, ``[1, 2]``, ``{a: 'b'}``."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, Mapping):

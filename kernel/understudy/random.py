@@ -91,8 +91,7 @@ class WorldStreams:
         return torch.cat([radius * torch.cos(angle), radius * torch.sin(angle)], dim=1)[:, :size]
 
     def give_back(self, worlds: Tensor, before: dict[str, Tensor]) -> None:
-        """Undo the draws since `before` (a :meth:`state_dict`) in `worlds` (N,),
-        which used none."""
+        """Undo the draws since `before` (a :meth:`state_dict`) in `worlds` (N,), which used none."""
         self._counter.copy_(torch.where(worlds.unsqueeze(1), before["counter"], self._counter))
 
     def state_dict(self) -> dict[str, Tensor]:

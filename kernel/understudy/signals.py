@@ -1,5 +1,4 @@
-"""Stop signals: what Ctrl-C, a scheduler or a closed terminal ends is saved first
-where that matters."""
+"""Stop signals: what Ctrl-C, a scheduler or a closed terminal ends is saved first where that matters."""
 
 from __future__ import annotations
 

@@ -79,8 +79,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
-    """Write `state` (nested mappings of tensors, numbers, strings, lists)
-    as the checkpoint `path`."""
+    """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
     file, tensor_file = _files(path)
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors, _Room())

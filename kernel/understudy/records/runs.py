@@ -64,8 +64,7 @@ def threads() -> int:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that decide results,
-    as they were when first asked for."""
+    """Versions of Python and of the libraries that decide results, as they were when first asked for."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
         try:
@@ -104,8 +103,7 @@ class Run:
     def experiment(
         self, registry: Registry | None = None, config: Mapping[str, Any] | None = None
     ) -> Experiment:
-        """Its configuration, or the one given, validated;
-        its parts read the run's copies of files."""
+        """Its configuration, or the one given, validated; its parts read the run's copies of files."""
         inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 

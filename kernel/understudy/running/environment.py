@@ -179,8 +179,7 @@ class Environment:
 
     @property
     def observation_columns(self) -> dict[str, tuple[str, ...]]:
-        """By observation the names of its columns, in order, flattened;
-        numbers where it has none."""
+        """By observation the names of its columns, in order, flattened; numbers where it has none."""
         return {
             name: tuple(e.part.columns) or tuple(map(str, range(math.prod(e.part.shape))))
             for name, e in self.parts.encoders.items()
@@ -432,8 +431,7 @@ class Environment:
         }
 
     def _first(self) -> dict[str, Tensor]:
-        """The observations after :meth:`_begin`;
-        zero in worlds that began unsound and fail next."""
+        """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
         return {name: without_unsound(value) for name, value in self.encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:

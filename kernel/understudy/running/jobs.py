@@ -1,5 +1,4 @@
-"""What a run iterates. All jobs have budget, checkpoints, progress, resume,
-sweeps and provenance."""
+"""What a run iterates. All jobs have budget, checkpoints, progress, resume, sweeps and provenance."""
 
 from __future__ import annotations
 
@@ -21,8 +20,7 @@ __all__ = ["Job", "Judgement"]
 
 @dataclass(frozen=True)
 class Judgement(ABC):
-    """What an evaluation found. How episodes are counted, and what else is measured,
-    is the job's."""
+    """What an evaluation found. How episodes are counted, and what else is measured, is the job's."""
 
     episodes: int
     success: str = ""  #: what a success is, in words
@@ -93,8 +91,7 @@ class Job(ABC):
         return False
 
     def sharpen(self) -> str:
-        """Switch to the physics that counts; returns what it is, in a few words.
-        Only if `coarse`."""
+        """Switch to the physics that counts; returns what it is, in a few words. Only if `coarse`."""
         raise NotImplementedError
 
     def rehearse(

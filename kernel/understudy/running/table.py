@@ -1,5 +1,4 @@
-"""The state fields of a task: each computed when first asked for,
-forgotten when the state changes."""
+"""The state fields of a task: each computed when first asked for, forgotten when the state changes."""
 
 from __future__ import annotations
 

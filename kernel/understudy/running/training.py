@@ -98,8 +98,7 @@ class Training:
         return {**self.job.state_dict(), "progress": self.progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`,
-        or a RunError that names the first place at which it is not as ours."""
+        """Continue from `state`, or a RunError that names the first place at which it is not as ours."""
         self._load(state, self.state_dict(), self.job.load_state_dict)
 
     def load_learned(self, state: State) -> None:
@@ -196,8 +195,7 @@ class Training:
         }
 
     def train(self) -> str:
-        """Iterate until the ``criterion`` is met, the ``budget`` is spent,
-        or the job is ``finished``.
+        """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
 
         Raises
         ------
@@ -285,8 +283,7 @@ class Training:
         )
 
     def _sharpen_if_ripe(self) -> dict[str, float]:
-        """Leave coarse physics once the criterion is met with it,
-        or enough of the budget is spent."""
+        """Leave coarse physics once the criterion is met with it, or enough of the budget is spent."""
         if not self.job.coarse():
             return {}
         ripe = self._rehearsed or self._spent() >= self.experiment.root.resolution.budget

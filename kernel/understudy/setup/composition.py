@@ -66,8 +66,7 @@ def _check_length(text: str, overrides: int = 1) -> None:
 
 
 def readable(override: str) -> str:
-    """`override` with its value quoted where it is outside Hydra's grammar,
-    as names of files may be."""
+    """`override` with its value quoted where it is outside Hydra's grammar, as names of files may be."""
     key, equals, value = override.partition("=")
     if not equals or _PLAIN.fullmatch(override) or key != key.strip():
         return override

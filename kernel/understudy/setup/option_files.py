@@ -1,5 +1,4 @@
-"""Hydra's composing from files of options,
-less its own settings and its reading the same file twice.
+"""Hydra's composing from files of options, less its own settings and its reading the same file twice.
 
 Hydra's compose API adds thirteen files for launchers, sweepers and logging to the seven that a
 composition needs, and throws them away.
@@ -152,8 +151,7 @@ def _sets(override: Override, files: OptionFiles) -> bool:
 
 
 def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
-    """What the files have that `overrides` choose,
-    composed anew only if one of them has changed."""
+    """What the files have that `overrides` choose, composed anew only if one of them has changed."""
     key = (*(source.path for source in files.sources), *overrides)
     states, config = _composed.get(key, ({}, None))
     if config is None or any(files.state(path) != state for path, state in states.items()):

@@ -1,5 +1,4 @@
-"""Loading plugins: entry points, tables, pluggy's hook,
-and the folders of options that plugins bring.
+"""Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins bring.
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in
 tables (:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside
@@ -197,8 +196,7 @@ _BYTES, _VALUES = 2**20, 10**5
 
 
 def _unreadable(file: Path) -> str:
-    """Why a file of options cannot be read, if so.
-    What repeats itself by anchors is not written out."""
+    """Why a file of options cannot be read, if so. What repeats itself by anchors is not written out."""
     import yaml
 
     values: dict[int, int] = {}

@@ -298,8 +298,7 @@ class Registrar:
         self._add("slot", self.registry.slots, name, slot, kind, summary)
 
     def citation(self, key: str, text: str) -> None:
-        """Record how to cite what the plugin implements;
-        kept with every run that uses the plugin."""
+        """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
         entry = Entry(key, text, self.plugin)
         self._add("citation", self.registry.citations, (self.plugin, key), entry, text)
 

@@ -93,8 +93,7 @@ def root_keys(registry: Registry) -> set[str]:
 
 
 def unknown_key(key: str, registry: Registry) -> str:
-    """The sentence about a root key that is none;
-    one may have left out what stands before a dot."""
+    """The sentence about a root key that is none; one may have left out what stands before a dot."""
     groups = [o for o in options_of(Root).values() if dataclasses.is_dataclass(o.annotation)]
     meant = [f"{o.name}.{key}" for o in groups if key in options_of(o.annotation)]
     found = suggestion(key, meant or root_keys(registry) | {"experiment"})
