@@ -198,9 +198,9 @@ MUTANTS = (
         return f"{kind}, which""", """    except ZeroDivisionError:
         return f"{kind}, which""", f"{F23} -k whatever"),
     Mutant("two plugins of a name", PLUGINS, "        if first.value != entry.value:", "        if False:", f"{F23} -k named_like"),
-    Mutant("a command that is another's", REGISTRY, "if not typed or c.name in whole | groups or whole & set(above):", "if not typed:",
+    Mutant("a command that is another's", REGISTRY, "if not typed or clash:", "if not typed:",
            f"{F23} -k cannot_be"),
-    Mutant("a command that cannot be typed", REGISTRY, "if not typed or c.name in", "if c.name in", f"{F23} -k cannot_be"),
+    Mutant("a command that cannot be typed", REGISTRY, "if not typed or clash:", "if clash:", f"{F23} -k cannot_be"),
     Mutant("a part without a name", REGISTRY, "        if not typed or not all(isinstance(text, str) for text in (what, *texts)):", "        if False:",
            f"{F23} -k without_a_name"),
     Mutant("a section that is a key", REGISTRY, "if what in (\"slot\", \"section\"):", "if False:",

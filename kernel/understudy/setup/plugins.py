@@ -101,8 +101,7 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
             _add(result, LoadedPlugin(entry.name, distribution, version), entry.load)
     for name, module in extra:
         _add(result, LoadedPlugin(name), lambda module=module: module)
-    registry = result.registry
-    faults = _broken_options(result) | registry.unknown_kinds() | registry.clashing_commands()
+    faults = _broken_options(result) | result.registry.unknown_kinds()
     for plugin in [p for p in result.loaded if p.name in faults]:
         result.loaded.remove(plugin)
         _isolate(result, plugin, faults[plugin.name])

@@ -159,22 +159,6 @@ class Registry:
     #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
     broken: dict[str, str] = field(default_factory=dict)
 
-    def clashing_commands(self) -> dict[str, PluginError]:
-        """Once all plugins are loaded: by plugin, a command that cannot be typed,
-        or is another's by then."""
-        whole, groups = set[str](), set[str]()
-        faults: dict[str, PluginError] = {}
-        for c in (c for c in self.components.values() if c.kind == "command"):
-            *above, _ = words = c.name.split()
-            typed = len(words) <= 2 and all(re.fullmatch(r"[^\W_][\w-]*", word) for word in words)
-            if not typed or c.name in whole | groups or whole & set(above):
-                why = "exists already" if typed else "cannot be typed"
-                faults[c.plugin] = PluginError(f"it registers the command '{c.name}', which {why}.")
-            else:
-                whole.add(c.name)
-                groups.update(above)
-        return faults
-
     def unknown_kinds(self) -> dict[str, PluginError]:
         """Once all plugins are loaded: by plugin, a component of a kind that is nobody's."""
         return {
@@ -209,17 +193,10 @@ class Registry:
 
     def remove(self, plugin: str) -> None:
         """Forget what `plugin` registered."""
-        tables: Any = (
-            self.components,
-            self.tasks,
-            self.sections,
-            self.kinds,
-            self.slots,
-            self.citations,
-        )
-        for table in tables:
-            for key in [k for k, entry in table.items() if entry.plugin == plugin]:
-                del table[key]
+        for title, table in vars(self).items():
+            if title != "broken":
+                for key in [k for k, entry in table.items() if entry.plugin == plugin]:
+                    del table[key]
 
 
 @dataclass(frozen=True)
@@ -242,6 +219,18 @@ class Registrar:
         origin = (self.plugin, self.distribution, self.version)
         component = Component(kind, name, target, *origin, summary)
         self._add(kind, self.registry.components, (kind, name), component, summary)
+        if kind == "command":
+            self._check_command(name)
+
+    def _check_command(self, name: str) -> None:
+        """Raise :class:`PluginError` for a command that cannot be typed, or is a group of others."""
+        words = name.split()
+        typed = len(words) <= 2 and all(re.fullmatch(r"[^\W_][\w-]*", word) for word in words)
+        others = self.registry.names("command")
+        clash = any(o.startswith(f"{name} ") or name.startswith(f"{o} ") for o in others)
+        if not typed or clash:
+            why = "exists already" if typed else "cannot be typed"
+            raise PluginError(f"it registers the command '{name}', which {why}.")
 
     def tables(self, module: Any) -> None:
         """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it
