@@ -10,7 +10,7 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,13 +41,12 @@ class Option:
 REQUIRED: Any = inspect.Parameter.empty
 
 
-@dataclass(eq=False)
 class Typed:
     """A number or a truth value of which its value does not say how it was typed: ``1e3``,
     ``0012``, ``on``. An option that takes text makes that its value."""
 
-    value: Any
-    text: str
+    def __init__(self, value: Any, text: str) -> None:
+        self.value, self.text = value, text
 
     def __repr__(self) -> str:
         return self.text
@@ -161,14 +160,25 @@ def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from items(item, f"{path}[{i}]")
 
 
+def each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """The nested `value` with `change` of all in it that is neither mapping nor list."""
+    if isinstance(value, Mapping):
+        return {str(key): each(item, change) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [each(item, change) for item in value]
+    return change(value)
+
+
 def plain(value: Any) -> Any:
     """The nested `value` as plain data, with numbers for what was typed as one, unless an option
     took the text."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return value.value if isinstance(value, Typed) else value
+    return each(value, lambda item: item.value if isinstance(item, Typed) else item)
+
+
+def as_typed(value: Any, text: str) -> Any:
+    """`value`, with the `text` where it is a number or a truth value that does not say it."""
+    says = type(value) not in (bool, int, float) or as_yaml(value) == text
+    return value if says else Typed(value, text)
 
 
 def as_yaml(value: Any) -> str:

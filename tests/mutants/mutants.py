@@ -719,15 +719,15 @@ MUTANTS = (
     Mutant(
         "a file of options that changed is read anew",
         f"{KERNEL}/setup/option_files.py",
-        "return (file, state.st_mtime_ns, state.st_size, state.st_ino)",
+        "return (file, found.st_mtime_ns, found.st_size, found.st_ino)",
         "return (file,)",
         "tests/kernel/setup/test_option_files.py -k changes",
     ),
     Mutant(
         "a composition changes no file of options that is kept",
         f"{KERNEL}/setup/option_files.py",
-        "copy.deepcopy(kept)",
-        "kept",
+        "copy.deepcopy(found[0])",
+        "found[0]",
         "tests/kernel/setup/test_option_files.py -k handed_out",
     ),
     Mutant(

@@ -41,8 +41,7 @@ class Progress:
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
-    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being
-    #: made.
+    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being made.
     pending: dict[str, Any] = field(default_factory=dict)
 
     def state_dict(self) -> State:

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os.path import exists
 from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
-from omegaconf import OmegaConf, open_dict
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
-from understudy.options import items, plain
+from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
-from understudy.setup.option_files import compose, marked, parsed, typed, unmarked
+from understudy.setup.option_files import MARK, compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import KEYS
-from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
+from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
     "compose_raw",
@@ -187,7 +188,7 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
-    lines = unmarked(str(error)).splitlines()
+    lines = str(error).replace(MARK, "").splitlines()
     text = next((line.strip() for line in lines if line.strip()), "")
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:
@@ -274,11 +275,12 @@ _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)"
 
 
 def _as_typed(word: str, sets: bool) -> str:
-    """`word`; of a number its mark in quotes, or itself where it names a file (not `sets`)."""
+    """`word`; in quotes if it is a number whose value does not say it, or names a file (not `sets`)."""
     if not _NUMERAL.fullmatch(word):
         return word
-    text = marked(parsed(f"x={word}").value(), word) if sets else word
-    return f"'{text}'" if isinstance(text, str) else word
+    if not sets:
+        return f"'{word}'"
+    return word if as_yaml(parsed(f"x={word}").value()) == word else f"'{MARK}{word}'"
 
 
 def split_overrides(
@@ -312,26 +314,6 @@ def _key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0]
 
 
-def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """`raw` less the options that a component chosen by an override (``policy={name: …}``) would
-    inherit from the one that a file chose: Hydra merges the two mappings."""
-    given: dict[str, set[str]] = {}
-    for override in map(parsed, overrides):
-        key = override.key_or_group
-        value = None if override.is_delete() else override.value()
-        if isinstance(value, Mapping) and "name" in value:
-            given[key] = {str(option) for option in value}
-        for above, options in given.items():
-            if key.startswith(f"{above}."):
-                options.add(key.removeprefix(f"{above}.").partition(".")[0])
-    for key, options in given.items():
-        component = at(raw, key)
-        if isinstance(component, dict):
-            for option in component.keys() - options:
-                del component[option]
-    return raw
-
-
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
@@ -347,18 +329,11 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     overrides = [readable(override) for override in overrides]
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
-        folders = option_directories(plugins)
-        config = compose(folders, for_hydra(kept, plugins))
-        if chosen:  # what task and experiment say of other choices does not hold for these
-            own = [o for o in kept if _key(o).partition(".")[0] in chosen]
-            alone = compose(folders, for_hydra(own, plugins))
-            with open_dict(config):
-                for key in chosen:
-                    config[key] = alone[key]
+        config = compose(option_directories(plugins), for_hydra(kept, plugins), own=chosen)
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-    assert isinstance(raw, dict)
     refuse_code(raw)
-    given = typed(_as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied))
+    # Copied, since a key that takes another's value (``${…}``) may be of another type.
+    given = each(raw, copy.copy) | dict.fromkeys(emptied)
     for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
     with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text

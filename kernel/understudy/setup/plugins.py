@@ -65,10 +65,9 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     """Load all installed plugins, or just those named in `only`, plus `extra` (name, module) pairs.
 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
-    leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be
-    read, or provides what an earlier one provides already is recorded in ``registry.broken``, with
-    nothing of it kept; the others still load. The bundled plugins come first, then the others by
-    name.
+    leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be read, or
+    provides what an earlier one provides already is recorded in ``registry.broken``, with nothing of it
+    kept; the others still load. The bundled plugins come first, then the others by name.
 
     Raises
     ------

@@ -43,8 +43,7 @@ class Context:
     decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
     evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
-    #: As ``substeps``, of the task itself: trainings may begin coarser, and a result is tried
-    #: finer.
+    #: As ``substeps``, of the task itself: trainings may begin coarser, and a result is tried finer.
     own_substeps: int | None = None
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)

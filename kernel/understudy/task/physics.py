@@ -21,8 +21,7 @@ T = TypeVar("T")
 class Scene(ABC):
     """What is simulated. Each family of simulators defines the scene type it accepts."""
 
-    #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has
-    #: them.
+    #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
     recorded: tuple[str, ...] = ()
     azimuth: float | None = None  #: where :meth:`draw` looks, degrees from x; None is its own
     members: Mapping[str, Scene] = {}  #: by name, the scenes that it consists of
@@ -88,8 +87,7 @@ class Simulator(ABC):
     @abstractmethod
     def read(self, name: str) -> Tensor:
         """The field `name`, (N, …), at the present state and under the present control; valid until
-        the next call that changes the state. May be the simulator's own memory: not to be
-        written."""
+        the next call that changes the state. May be the simulator's own memory: not to be written."""
 
     @abstractmethod
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
