@@ -78,6 +78,11 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
+def _replace(kept: Tensor, value: Tensor, worlds: Tensor | None) -> None:
+    """Write `value` (N, …) into `kept`, in all worlds or where `worlds` (N,) is true."""
+    kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
+
+
 class Environment:
     """N worlds of one task.
 
@@ -220,17 +225,11 @@ class Environment:
             for terms in (parts.rewards, parts.terminations, parts.measures)
         )
         wanted = list(self.readers())
-        previous = {
-            name
-            for _, names in wanted
-            for name in names
-            if name.startswith(_PREVIOUS) and name not in table.shapes and exists(name)
-        }
-        table.add(
-            {name: table.shapes[name.removeprefix(_PREVIOUS)] for name in sorted(previous)},
-            "the environment",
-        )
-        self._previous: dict[str, Tensor | None] = dict.fromkeys(sorted(previous))
+        asked = {name for _, names in wanted for name in names if name.startswith(_PREVIOUS)}
+        previous = sorted(name for name in asked if name not in table.shapes and exists(name))
+        shapes = {name: table.shapes[name.removeprefix(_PREVIOUS)] for name in previous}
+        table.add(shapes, "the environment")
+        self._previous: dict[str, Tensor | None] = dict.fromkeys(previous)
         for who, names in wanted:
             table.need(who, names, givers)
         for name in parts.initial_states.reads:
@@ -395,7 +394,7 @@ class Environment:
             kept, value = self._kept[field_name], values[name]
             if value is kept:
                 continue  # so that what is computed from it stays
-            kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
+            _replace(kept, value, worlds)
             self.table.put({field_name: kept})
 
     def _remember(self, worlds: Tensor | None = None) -> None:
@@ -411,9 +410,7 @@ class Environment:
             if kept is None:
                 kept = self._previous[name] = value.clone()
             else:
-                kept.copy_(
-                    value if worlds is None else torch.where(rows(worlds, kept), value, kept)
-                )
+                _replace(kept, value, worlds)
             self.table.put({name: kept})
 
     def evaluate(self, term: Term) -> Tensor:
@@ -479,7 +476,7 @@ class Environment:
         """Set the constants of beginning episodes."""
         for name, constant in self._constants.items():
             if name in values and not (self._context.evaluating and name == "episode_limit"):
-                constant.copy_(torch.where(rows(worlds, constant), values[name], constant))
+                _replace(constant, values[name], worlds)
 
     def refresh(self) -> None:
         """Forget every value but the environment's own: the state has changed."""
