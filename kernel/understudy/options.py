@@ -20,6 +20,7 @@ __all__ = [
     "REQUIRED",
     "Option",
     "as_yaml",
+    "at",
     "check_range",
     "checked_options",
     "in_words",
@@ -158,6 +159,13 @@ def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     elif isinstance(value, (list, tuple)):
         for i, item in enumerate(value):
             yield from items(item, f"{path}[{i}]")
+
+
+def at(value: Any, path: str) -> Any:
+    """What stands at the key path `path` in nested plain data, or None."""
+    for key in path.split("."):
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
 
 
 def each(value: Any, change: Callable[[Any], Any]) -> Any:

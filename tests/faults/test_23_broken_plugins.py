@@ -54,7 +54,7 @@ def assert_isolated(plugins: Plugins, reason: str) -> None:
     assert not [c for c in plugins.registry.citations if c[0] == "stranger"]
     assert "stranger_kind" not in plugins.registry.kinds
     assert "stranger_slot" not in plugins.registry.slots
-    assert "stranger" not in [name for name, _ in plugins.config_directories()]
+    assert "stranger" not in [name for name, _ in plugins.folders()]
     assert all(p.status == "ok" for p in plugins.loaded if p.name in ("ppo", "mujoco", "fake"))
     build_environment(load_experiment([*FAKE_TASK, *SMALL], plugins)).environment.reset()
     raw = [*FAKE_TASK, *SMALL, "learner.name=stranger/learner"]

@@ -31,20 +31,15 @@ from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment"]
 
+#: What this step's terminations made of the episode: a failure; a success; a failure term or one
+#: that only reports.
+_OUTCOMES = ("failed", "succeeded", "violated")
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any
-#: field before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a
-#: failure term or one that only reports) are set once this step's terminations are known, so only
+#: field before this step. The outcomes are set once this step's terminations are known, so only
 #: rewards and measures may read them; ``reward`` is the step's, for measures only.
-OWN_FIELDS: dict[str, Shape] = {
-    "episode_time": (),
-    "episode_step": (),
-    "episode_limit": (),
-    "difficulty": (),
-    "failed": (),
-    "succeeded": (),
-    "violated": (),
-    "reward": (),
-}
+OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
+    ("episode_time", "episode_step", "episode_limit", "difficulty", *_OUTCOMES, "reward"), ()
+)
 _PREVIOUS = "previous_"
 
 # A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
@@ -484,7 +479,7 @@ class Environment:
             {
                 "episode_step": self.episode_step,
                 "episode_time": self.episode_step * self.control_dt,
-                **dict.fromkeys(("failed", "succeeded", "violated"), self._nowhere),
+                **dict.fromkeys(_OUTCOMES, self._nowhere),
                 "reward": self._nothing,
                 "action": self.action,
                 **self._constants,

@@ -94,17 +94,13 @@ class FieldTable:
                 self.values.pop(dependent, None)
 
     def __getitem__(self, name: str) -> Tensor:
-        value = self.values.get(name)
-        if value is None:
-            provider = self._provider.get(name)
-            if provider is None:
-                value = self.values[name] = self._simulator.read(name)
+        if name not in self.values:
+            if (provider := self._provider.get(name)) is None:
+                self.values[name] = self._simulator.read(name)
             else:
                 given = provider.part.compute(**self.pick(provider.reads))
-                for own_name, field in provider.provides.items():
-                    self.values[field] = given[own_name]
-                value = self.values[name]
-        return value
+                self.values |= {field: given[own] for own, field in provider.provides.items()}
+        return self.values[name]
 
     def pick(self, names: Mapping[str, str]) -> dict[str, Tensor]:
         """The fields that `names` maps parameters to, by parameter."""

@@ -20,7 +20,7 @@ from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import MARK, compose, parsed
-from understudy.setup.plugins import Plugins, installed, kernel_conf
+from understudy.setup.plugins import Plugins, installed
 from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
@@ -29,7 +29,6 @@ __all__ = [
     "for_hydra",
     "hydra_session",
     "load_experiment",
-    "option_directories",
     "options",
     "refuse_resolvers",
     "replaced",
@@ -199,10 +198,7 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
         return f"There is no {group}={name}.{suggestion(name, options(plugins, group))}"
     if slashed := re.search(r"Could not override '(\w+/[\w/]+)'", text):
         dotted = slashed[1].replace("/", ".")
-        return (
-            f"There is no configuration key '{slashed[1]}'. A part's option has dots: "
-            f"{dotted}=VALUE."
-        )
+        return f"There is no configuration key '{slashed[1]}'. A part's option has dots: {dotted}=VALUE."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
         if slot := plugins.registry.slots.get(stray[1]):
@@ -232,17 +228,12 @@ def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
     return f"{path} is not set. Give it a value."
 
 
-def option_directories(plugins: Plugins) -> list[Path]:
-    """The directories of config options: the kernel's, then each plugin's."""
-    return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
-
-
 def options(plugins: Plugins, group: str) -> dict[str, Path]:
     """The options that files offer for `group`, as one types them, and their files. Those whose
     name begins with an underscore are for other files to build on."""
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
-        for folder in option_directories(plugins)
+        for _, folder in plugins.folders()
         for file in sorted((folder / group).rglob("[!_]*.yaml"))
     }
 
@@ -329,7 +320,8 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     overrides = [readable(override) for override in overrides]
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
-        config = compose(option_directories(plugins), for_hydra(kept, plugins), own=chosen)
+        folders = [folder for _, folder in plugins.folders()]
+        config = compose(folders, for_hydra(kept, plugins), own=chosen)
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     refuse_code(raw)
     # Copied, since a key that takes another's value (``${…}``) may be of another type.

@@ -10,7 +10,7 @@ from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
-from understudy.options import plain
+from understudy.options import at, plain
 from understudy.setup.registry import Component, Registry
 from understudy.setup.root import Root
 
@@ -80,12 +80,11 @@ class Experiment:
         return found or Chosen("job", self.registry.find("job", USUAL_JOB, "job"), None, "job")
 
     def __repr__(self) -> str:
-        slots = [
-            f"{slot}={'+'.join(c.component.name for c in chosen)}"
-            for slot, chosen in self.choices.items()
-            if chosen
-        ]
-        return f"Experiment({', '.join(slots)}; seed {self.root.seed})"
+        names = {
+            s: "+".join(c.component.name for c in chosen) for s, chosen in self.choices.items()
+        }
+        slots = ", ".join(f"{slot}={name}" for slot, name in names.items() if name)
+        return f"Experiment({slots}; seed {self.root.seed})"
 
     def components(self) -> Iterator[Component]:
         """Every component in use."""
@@ -130,14 +129,8 @@ class Experiment:
             value: Any = {c.name: c.effective() for c in chosen}
             if not slot.many:
                 value = chosen[0].effective() if chosen else None
-            _put(found, slot.name, plain(value))
+            above, _, last = slot.name.rpartition(".")
+            (at(found, above) if above else found)[last] = plain(value)
         for name, options in self.sections.items():
             found[name] = plain(dataclasses.asdict(options))
         return found
-
-
-def _put(tree: dict[str, Any], path: str, value: Any) -> None:
-    *above, last = path.split(".")
-    for key in above:
-        tree = tree[key]
-    tree[last] = value

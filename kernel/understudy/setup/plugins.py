@@ -57,8 +57,10 @@ class Plugins:
     registry: Registry = field(default_factory=Registry)
     loaded: list[LoadedPlugin] = field(default_factory=list)
 
-    def config_directories(self) -> list[tuple[str, Path]]:
-        return [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
+    def folders(self) -> list[tuple[str, Path]]:
+        """Whose folders of options there are: the kernel's, which has no name, then each plugin's."""
+        found = [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
+        return [("", kernel_conf()), *found]
 
 
 def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] = ()) -> Plugins:
@@ -175,7 +177,7 @@ def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
     owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
-    for name, directory in [("", kernel_conf()), *plugins.config_directories()]:
+    for name, directory in plugins.folders():
         for file in sorted(directory.rglob("*.yaml")):
             option = file.relative_to(directory)
             if owner.setdefault(option, name) != name:

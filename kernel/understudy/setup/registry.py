@@ -295,9 +295,7 @@ class Registrar:
         """Put `entry` into `table`, or raise :class:`PluginError`: its name cannot be typed, one of
         the `texts` is none, or the name is somebody's already."""
         name, by = entry.name, f"Plugin '{self.plugin}'"
-        typed = (
-            isinstance(name, str) and name.isprintable() and name == " ".join(name.split()) != ""
-        )
+        typed = " ".join(str(name).split()) == name != "" and name.isprintable()
         if not typed or not all(isinstance(text, str) for text in (what, *texts)):
             raise PluginError(
                 f"{by} registers the {what} {name!r}, whose name or summary is no text."

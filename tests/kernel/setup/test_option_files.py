@@ -11,7 +11,7 @@ from hydra.core.default_element import ResultDefault
 from omegaconf import OmegaConf
 
 from understudy.options import plain
-from understudy.setup.composition import compose_raw, option_directories
+from understudy.setup.composition import compose_raw
 from understudy.setup.option_files import OptionFiles, compose, parsed
 from understudy.setup.plugins import Plugins
 
@@ -111,7 +111,7 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
     ],
 )
 def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
-    folders = option_directories(plugins)
+    folders = [folder for _, folder in plugins.folders()]
     ours = OmegaConf.to_container(compose(folders, overrides))
     assert plain(ours) == OmegaConf.to_container(hydras(folders, overrides))
 
