@@ -171,11 +171,10 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
         command = component.factory()
         command.arguments(parser)
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
-        keys = _text("help.txt")
         example = f"for example:\n  {command.example}" if command.example else ""
         parser.epilog = example.replace("%", "%%")
         if command.takes_overrides:
-            parser.epilog += f"\n\n{keys}"
+            parser.epilog += f"\n\n{_text('help.txt')}"
             if parser.usage is None:
                 parser.usage = (
                     f"{parser.format_usage().removeprefix('usage: ').strip()} [KEY=VALUE …]"

@@ -321,7 +321,7 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         kept = {name: without_unsound(table[name]).clone() for name in self.next_fields}
-        returns = self.statistics.add(rewards)
+        returns = self.statistics.returns.add_(rewards).clone()
         step = Step(
             reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
         )
@@ -475,18 +475,16 @@ class Environment:
 
     def refresh(self) -> None:
         """Forget every value but the environment's own: the state has changed."""
-        self.table.moved(
-            {
-                "episode_step": self.episode_step,
-                "episode_time": self.episode_step * self.control_dt,
-                **dict.fromkeys(_OUTCOMES, self._nowhere),
-                "reward": self._nothing,
-                "action": self.action,
-                **self._constants,
-                **self._kept,
-                **{name: kept for name, kept in self._previous.items() if kept is not None},
-            }
-        )
+        self.table.values = {
+            "episode_step": self.episode_step,
+            "episode_time": self.episode_step * self.control_dt,
+            **dict.fromkeys(_OUTCOMES, self._nowhere),
+            "reward": self._nothing,
+            "action": self.action,
+            **self._constants,
+            **self._kept,
+            **{name: kept for name, kept in self._previous.items() if kept is not None},
+        }
 
     def _quarantine(self, unsound: Tensor, before: dict[str, Tensor] | None) -> None:
         self.quarantined += unsound.sum()

@@ -30,7 +30,8 @@ class FieldTable:
     ) -> None:
         self._simulator = simulator
         self._provider: dict[str, Wired[Fields]] = {}
-        self.values: dict[str, Tensor] = {}  #: what is known of the present state
+        #: What is known of the present state; once that has changed, only the environment's own.
+        self.values: dict[str, Tensor] = {}
         self.shapes: dict[str, Shape] = {}
         self.source: dict[str, str] = {}
         self.add(simulator.fields, "the simulator")
@@ -81,10 +82,6 @@ class FieldTable:
                     f"{who} needs the state field '{name}', which nothing in this task "
                     f"provides.{hint}"
                 )
-
-    def moved(self, own: Mapping[str, Tensor]) -> None:
-        """Forget all values: the state has changed. `own` are the environment's fields now."""
-        self.values = dict(own)
 
     def put(self, fields: Mapping[str, Tensor]) -> None:
         """Set fields of the environment's own, and forget what was computed from them."""

@@ -19,7 +19,6 @@ from typing import Any
 from understudy import distributed
 from understudy.errors import PreemptedError, RunError, said
 from understudy.records import checkpoint
-from understudy.records.checkpoint import misshapen
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run, differences, threads, versions
@@ -108,7 +107,7 @@ class Training:
     def _load(self, state: State, own: State, load: Callable[[State], None]) -> None:
         try:
             progress = {"pending": {}, **state["progress"]}
-            for misfit in misshapen(own, {**state, "progress": progress}, ""):
+            for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
             load(state)
             self.progress = Progress(**progress)
@@ -232,10 +231,9 @@ class Training:
                         if run is not None:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
-                    if run is not None:
-                        due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
-                        if due or stopping:
-                            self.save()
+                    due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
+                    if run is not None and (due or stopping):
+                        self.save()
                     if stopping:
                         raise self._preempted(stop.received)
                     try:
@@ -315,11 +313,10 @@ class Training:
         kind = "rehearsal" if self.job.coarse() else "evaluation"
         first = self._evaluate(kind, options.episodes, options.criterion)
         row = first.row(kind)
-        if options.criterion is None or not _reaches(first, options.criterion):
-            pass
-        elif kind == "rehearsal":
+        reached = _reaches(first, options.criterion)
+        if reached and kind == "rehearsal":
             self._rehearsed = True
-        else:
+        elif reached:
             second = self._evaluate("confirmation", options.final_episodes, options.criterion)
             met, row = _reaches(second, options.criterion), row | second.row("confirmation")
         progress.evaluated_at, progress.met = progress.samples, met
@@ -369,6 +366,8 @@ def _meaning(config: Any) -> dict[str, Any]:
     return {k: v for k, v in known if k not in aside}
 
 
-def _reaches(evaluation: Judgement, criterion: float) -> bool:
+def _reaches(evaluation: Judgement, criterion: float | None) -> bool:
     rate = evaluation.success_rate
-    return evaluation.complete and rate is not None and rate >= criterion
+    if rate is None or criterion is None:
+        return False
+    return evaluation.complete and rate >= criterion

@@ -146,9 +146,8 @@ def _check(override: str, plugins: Plugins) -> None:
     except (HydraException, RecursionError) as error:
         raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
     group = read.key_or_group
-    if not _is_value(group, plugins) and (
-        "/" in group or "." not in group
-    ):  # its value names a file
+    names_file = not _is_value(group, plugins) and ("/" in group or "." not in group)
+    if names_file:
         names = chosen if isinstance(chosen, list) else [chosen]
         if any(map(_leads_out, (group, *names))):
             raise ConfigError(

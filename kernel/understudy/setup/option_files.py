@@ -76,9 +76,7 @@ class OptionFiles(ConfigRepository):
 
     def content(self, default: ResultDefault) -> dict[str, Any]:
         """What the file of that choice says, at the place where it is put."""
-        found = self._found(default.config_path or "")
-        assert found is not None
-        content = found[1]
+        _, content = self._found(default.config_path or "") or (None, {})
         for key in reversed((default.package or "").split(".")):
             content = {key: content} if key not in ("", "_global_") else content
         return content
