@@ -8,25 +8,33 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, open_dict
 
 from understudy.errors import ConfigError
 from understudy.setup import composition, option_files
 from understudy.setup.plugins import installed
 
 
-def hydras(folders: Iterable[Path], overrides: Sequence[str]) -> DictConfig:
-    """What Hydra's public interface composes."""
-    first, *others = folders
+def hydras(
+    folders: Iterable[Path], overrides: Sequence[str], own: Collection[str] = ()
+) -> DictConfig:
+    """What Hydra's public interface composes; of the groups `own` what it composes of them alone."""
+    first, *others = folders = list(folders)
     path = ",".join(f"'file://{folder}'" for folder in others)
     with hydra.initialize_config_dir(str(first), version_base="1.3", job_name="understudy"):
-        return hydra.compose("config", overrides=[f"hydra.searchpath=[{path}]", *overrides])
+        found = hydra.compose("config", overrides=[f"hydra.searchpath=[{path}]", *overrides])
+    if own:
+        theirs = [o for o in overrides if o.lstrip("+").partition("=")[0].split(".")[0] in own]
+        alone = hydras(folders, theirs)
+        with open_dict(found):
+            found.update({key: alone[key] for key in own})
+    return found
 
 
 def seconds(

@@ -66,7 +66,7 @@ def options(plugins: Plugins, group: str) -> list[str]:
     """The options that the plugins' files offer for `group`, as one writes them."""
     return sorted(
         file.relative_to(folder / group).with_suffix("").as_posix()
-        for _, folder in plugins.config_directories()
+        for _, folder in plugins.folders()
         for file in (folder / group).rglob("*.yaml")
     )
 

@@ -5,8 +5,8 @@ from importlib.metadata import version
 
 from understudy.setup.plugins import hookimpl
 
-# Torch's OpenMP reads it when torch is imported, later than this. Threads that helped with a network would
-# spin on cores that simulators, or other programs, need.
+# Torch's OpenMP reads it when torch is imported, later than this. Threads that helped with a
+# network would spin on cores that simulators, or other programs, need.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __version__ = version("understudy")

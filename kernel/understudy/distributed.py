@@ -1,7 +1,8 @@
 """Several processes, one GPU each, started by ``torchrun``. In one process all of this is the identity.
 
-Each process owns ``num_worlds`` worlds; process r's are worlds r·N to r·N + N - 1 of the random streams. Gradients
-and statistics are averaged over processes, decisions are process 0's, and only process 0 writes files.
+Each process owns ``num_worlds`` worlds; process r's are worlds r·N to r·N + N - 1 of the random
+streams. Gradients and statistics are averaged over processes, decisions are process 0's, and only
+process 0 writes files.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ def _lost_processes() -> Iterator[None]:
         yield
     except RuntimeError as error:  # which libraries give when nobody answers
         raise TrainingError(
-            f"Another process of this training ended or does not answer ({said(error)}). What was saved stays: "
-            "start as many processes again, of `understudy resume` with the run's folder."
+            f"Another process of this training ended or does not answer ({said(error)}). What was "
+            "saved stays: start as many processes again, of `understudy resume` with the run's folder."
         ) from error
 
 

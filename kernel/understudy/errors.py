@@ -10,9 +10,17 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
-    "ConfigError", "FileError", "PluginError", "PreemptedError", "RunError", "TrainingError",
-    "UnderstudyError", "said", "shown", "suggestion",
-]  # fmt: skip
+    "ConfigError",
+    "FileError",
+    "PluginError",
+    "PreemptedError",
+    "RunError",
+    "TrainingError",
+    "UnderstudyError",
+    "said",
+    "shown",
+    "suggestion",
+]
 
 
 class UnderstudyError(Exception):
@@ -64,8 +72,8 @@ def shown(text: str) -> str:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` for a near miss of a known name or its end, whatever the case of letters; else
-    all known names, and many of them grouped by what stands before their slash."""
+    """`` Did you mean 'x'?`` for a near miss of a known name or its end, whatever the case of
+    letters; else all known names, and many of them grouped by what stands before their slash."""
     names = sorted(set(known))
     small, low = word.lower(), {n.lower(): n for n in reversed(names)}
     close = [low[small]] if small in low else []

@@ -24,8 +24,8 @@ class Inputs:
     _fills: dict[str, Callable[[Path], None]] = field(default_factory=dict)
 
     def file(self, asked: str, find: Callable[[], Iterable[Path]]) -> Path:
-        """The file to open for what is `asked`: the run's copy, else the first that `find` gives. Its
-        others (meshes, a licence) are kept with it, below the same folder.
+        """The file to open for what is `asked`: the run's copy, else the first that `find` gives.
+        Its others (meshes, a licence) are kept with it, below the same folder.
 
         Raises
         ------
@@ -47,7 +47,8 @@ class Inputs:
         return self.folder / next(iter(self.kept[asked]))
 
     def folder_of(self, asked: str, source: Path, fill: Callable[[Path], None]) -> Path:
-        """The folder to read for what is `asked`, as :meth:`file`: the run's copy, which `fill` writes, else `source`."""
+        """The folder to read for what is `asked`, as :meth:`file`: the run's copy,
+        which `fill` writes, else `source`."""
         if asked in self.kept:
             return self.file(asked, list).parent
         self._fills[asked] = fill

@@ -10,16 +10,24 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED", "Option", "as_yaml", "check_range", "checked_options", "in_words",
-    "make_options", "options_of", "schema_of",
-]  # fmt: skip
+    "REQUIRED",
+    "Option",
+    "as_yaml",
+    "at",
+    "check_range",
+    "checked_options",
+    "in_words",
+    "make_options",
+    "options_of",
+    "schema_of",
+]
 
 
 @dataclass(frozen=True)
@@ -34,13 +42,12 @@ class Option:
 REQUIRED: Any = inspect.Parameter.empty
 
 
-@dataclass(eq=False)
 class Typed:
-    """A number or a truth value of which its value does not say how it was typed: ``1e3``, ``0012``, ``on``."""
+    """A number or a truth value of which its value does not say how it was typed: ``1e3``,
+    ``0012``, ``on``. An option that takes text makes that its value."""
 
-    value: Any
-    text: str
-    taken: bool = False  #: whether an option took the text
+    def __init__(self, value: Any, text: str) -> None:
+        self.value, self.text = value, text
 
     def __repr__(self) -> str:
         return self.text
@@ -86,7 +93,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
-        return untyped(value)
+        return plain(value)
     if origin in (typing.Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
@@ -102,8 +109,9 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
                     raise _not_of(attempts, value, where) from None
     if isinstance(value, (int, float, Typed)):
         number = value if isinstance(value, Typed) else Typed(value, as_yaml(value))
-        number.taken |= annotation is str or (origin is typing.Literal and number.text in arguments)
-        value = untyped(number)
+        if annotation is str or (origin is typing.Literal and number.text in arguments):
+            number.value = number.text
+        value = number.value
     if origin is typing.Literal:
         if value in arguments:
             return value
@@ -153,13 +161,32 @@ def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from items(item, f"{path}[{i}]")
 
 
-def untyped(value: Any) -> Any:
-    """`value` with numbers for what was typed as one, unless an option took the text."""
+def at(value: Any, path: str) -> Any:
+    """What stands at the key path `path` in nested plain data, or None."""
+    for key in path.split("."):
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """The nested `value` with `change` of all in it that is neither mapping nor list."""
     if isinstance(value, Mapping):
-        return {key: untyped(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [untyped(item) for item in value]
-    return (value.text if value.taken else value.value) if isinstance(value, Typed) else value
+        return {str(key): each(item, change) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [each(item, change) for item in value]
+    return change(value)
+
+
+def plain(value: Any) -> Any:
+    """The nested `value` as plain data, with numbers for what was typed as one, unless an option
+    took the text."""
+    return each(value, lambda item: item.value if isinstance(item, Typed) else item)
+
+
+def as_typed(value: Any, text: str) -> Any:
+    """`value`, with the `text` where it is a number or a truth value that does not say it."""
+    says = type(value) not in (bool, int, float) or as_yaml(value) == text
+    return value if says else Typed(value, text)
 
 
 def as_yaml(value: Any) -> str:
@@ -206,7 +233,7 @@ def in_words(annotation: Any) -> str:
     return getattr(annotation, "__name__", str(annotation))
 
 
-def make_options(schema: type, values: Any, where: str) -> Any:
+def make_options(schema: Any, values: Any, where: str) -> Any:
     """The dataclass `schema` filled from the mapping `values`; errors name the key path `where`."""
     if isinstance(values, schema):
         return values
@@ -234,9 +261,9 @@ def check_range(
     most: float | None = None,
 ) -> None:
     """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers that have
-    a least are sizes or counts, of which :data:`MANY` are the most unless `most` says otherwise. A
-    ValueError names the one that does not."""
+    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers
+    that have a least are sizes or counts, of which :data:`MANY` are the most unless `most` says
+    otherwise. A ValueError names the one that does not."""
     for name in names:
         given = getattr(options, name)
         for value in given if isinstance(given, tuple) else (given,):
@@ -265,7 +292,8 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are errors."""
+    """`values` coerced to the types of `options`, and their defaults;
+    unknown and missing ones are errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

@@ -14,11 +14,13 @@ __all__ = ["StopRequest", "is_stop"]
 
 @dataclass(eq=False)
 class StopRequest:
-    """Inside, stop signals are noted in `received`; `at_once` the first, else a second Ctrl-C, interrupts.
+    """Inside, stop signals are noted in `received`; `at_once` the first, else a second Ctrl-C,
+    interrupts.
 
-    They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next outer
-    one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored where it was
-    (``nohup``). Outside the main thread nothing happens: whoever runs us handles signals.
+    They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next
+    outer one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored
+    where it was (``nohup``). Outside the main thread nothing happens: whoever runs us handles
+    signals.
     """
 
     at_once: bool = False

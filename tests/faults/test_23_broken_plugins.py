@@ -54,7 +54,7 @@ def assert_isolated(plugins: Plugins, reason: str) -> None:
     assert not [c for c in plugins.registry.citations if c[0] == "stranger"]
     assert "stranger_kind" not in plugins.registry.kinds
     assert "stranger_slot" not in plugins.registry.slots
-    assert "stranger" not in [name for name, _ in plugins.config_directories()]
+    assert "stranger" not in [name for name, _ in plugins.folders()]
     assert all(p.status == "ok" for p in plugins.loaded if p.name in ("ppo", "mujoco", "fake"))
     build_environment(load_experiment([*FAKE_TASK, *SMALL], plugins)).environment.reset()
     raw = [*FAKE_TASK, *SMALL, "learner.name=stranger/learner"]
@@ -114,8 +114,8 @@ def leaves(register: Registrar) -> None:
         (duplicate, "Both plugin 'ppo' and plugin 'stranger' register the learner 'ppo'"),
         (duplicate_section, "register the learner 'stranger/learner'"),
         (unknown_kind, "no kind of component. Did you mean 'learner'?"),
-        (kinds, "adds the slot 'job', which exists already"),
-        (dotted, "adds the slot 'reward.more', which exists already or has a dot"),
+        (kinds, "Both understudy itself and plugin 'stranger' register the slot 'job'"),
+        (dotted, "registers the slot 'reward.more', whose name has a dot"),
         (raises, "RuntimeError: no"),
         (leaves, "SystemExit: stranger wants to leave"),
     ],
@@ -134,14 +134,14 @@ PART = {"learner": {"stranger/learner": ("parts:Learner", "learns")}}
         ({"KINDS": {"stranger_kind": 5}}, "registers the kind 'stranger_kind'"),
         ({"SLOTS": {"stranger_slot": ("learner", "x")}}, "Write SLOTS = {"),
         ({"SLOTS": {"stranger_slot": {"sort": "learner"}}}, "Write SLOTS = {"),
-        ({"SLOTS": {"job": {"kind": "job", "summary": "x"}}}, "slot 'job', which exists already"),
+        ({"SLOTS": {"job": {"kind": "job", "summary": "x"}}}, "understudy itself and plugin 'stranger' register the slot 'job'"),
         ({"PARTS": {"learner": "parts:Learner"}}, "Write PARTS = {"),
         ({"PARTS": {"learner": {"stranger/other": "parts:Other"}}}, "Write PARTS = {"),
         ({"PARTS": {"learner": {"ppo": ("parts:PPO", "learns")}}}, "register the learner 'ppo'"),
         ({"PARTS": {"learner": {"stranger/other": (5, "learns")}}}, "registers 5 as the learner"),
         ({"PARTS": {"lerner": {"x": ("parts:X", "learns")}}}, "Did you mean 'learner'?"),
         ({"SECTIONS": {"stranger": "section:Build"}}, "Write SECTIONS = {"),
-        ({"SECTIONS": {"seed": ("s:Options", "s:build")}}, "the section 'seed', which is taken"),
+        ({"SECTIONS": {"seed": ("s:Options", "s:build")}}, "understudy itself and plugin 'stranger' register the section"),
         ({"TASKS": "stranger/task"}, "Write TASKS = {"),
         ({"TASKS": {"stranger/task": None}}, "registers the task 'stranger/task'"),
         ({"CITATIONS": {"stranger": ("Stranger", "2001")}}, "registers the citation"),
@@ -404,7 +404,9 @@ def test_parts_without_a_name(what: str) -> None:
             "taken slot": lambda: register.slot("budget", "learner", "x"),
         }[what]()
 
-    assert_isolated(loaded(module(understudy_register=register)), "Plugin 'stranger'")
+    both = "Both understudy itself and plugin 'stranger'"
+    reason = both if what.startswith("taken") else "Plugin 'stranger'"
+    assert_isolated(loaded(module(understudy_register=register)), reason)
 
 
 @pytest.mark.parametrize("value", [5, None, lambda register: None], ids=["5", "None", "unmarked"])

@@ -74,7 +74,7 @@ def schemas(plugins: Plugins) -> Iterator[tuple[str, type]]:
         if dataclasses.is_dataclass(option.annotation):
             yield option.name, option.annotation  # type: ignore[misc]
     for name, section in plugins.registry.sections.items():
-        yield name, section.schema()
+        yield name, section.options.factory
     for (kind, name), component in sorted(plugins.registry.components.items()):
         try:
             factory: Any = component.factory

@@ -136,7 +136,8 @@ class _Parser(argparse.ArgumentParser):
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser = _Parser(
         "understudy",
-        description="Simulated characters learn physical skills. First `train`, then `play` or open report.html in the run folder.",
+        description="Simulated characters learn physical skills. First `train`, then `play` or "
+        "open report.html in the run folder.",
         epilog=_text("help.txt"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -147,7 +148,8 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands, all of which are plugins'; only the one that is asked for is imported, and there alone."""
+    """The commands, all of which are plugins'; only the one that is asked for is imported,
+    and there alone."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")
@@ -169,11 +171,10 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
         command = component.factory()
         command.arguments(parser)
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
-        keys = _text("help.txt")
         example = f"for example:\n  {command.example}" if command.example else ""
         parser.epilog = example.replace("%", "%%")
         if command.takes_overrides:
-            parser.epilog += f"\n\n{keys}"
+            parser.epilog += f"\n\n{_text('help.txt')}"
             if parser.usage is None:
                 parser.usage = (
                     f"{parser.format_usage().removeprefix('usage: ').strip()} [KEY=VALUE …]"

@@ -33,10 +33,11 @@ class Command(ABC):
         """Add the command's arguments."""
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
-        """The files that it writes where the user says. Whoever gives some has ``--overwrite``, without
-        which those that are there are refused before :meth:`run`."""
+        """The files that it writes where the user says. Whoever gives some has ``--overwrite``,
+        without which those that are there are refused before :meth:`run`."""
         yield from ()
 
     @abstractmethod
     def run(self, options: argparse.Namespace) -> int:
-        """Carry it out; returns the exit status. What the user can cause is raised as an :class:`UnderstudyError`."""
+        """Carry it out; returns the exit status.
+        What the user can cause is raised as an :class:`UnderstudyError`."""

@@ -262,8 +262,8 @@ def load_newest(
 
 
 def prune(folder: Path, keep: int, last: Path | None = None) -> None:
-    """Delete all but the `keep` newest checkpoints and the `last` that was written, and leftovers of
-    interrupted writes. What is numbered higher than the last was damaged."""
+    """Delete all but the `keep` newest checkpoints and the `last` that was written, and leftovers
+    of interrupted writes. What is numbered higher than the last was damaged."""
     for path in (p for p in newest(folder)[keep:] if p != last):
         path.with_suffix(".json").unlink(missing_ok=True)
     for path in folder.glob("*.safetensors"):

@@ -275,7 +275,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),
-        "citations": [text for (p, _), text in registry.citations.items() if p in cited],
+        "citations": [c.summary for c in registry.citations.values() if c.plugin in cited],
         "inputs": inputs,
     }
     run.write_json("run.json", run.info)

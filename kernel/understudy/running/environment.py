@@ -31,15 +31,15 @@ from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment"]
 
-#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
-#: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
-#: term or one that only reports) are set once this step's terminations are known, so only rewards
-#: and measures may read them; ``reward`` is the step's, for measures only.
+#: What this step's terminations made of the episode: a failure; a success; a failure term or one
+#: that only reports.
+_OUTCOMES = ("failed", "succeeded", "violated")
+#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any
+#: field before this step. The outcomes are set once this step's terminations are known, so only
+#: rewards and measures may read them; ``reward`` is the step's, for measures only.
 OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
-    ("episode_time", "episode_step", "episode_limit", "difficulty",
-     "failed", "succeeded", "violated", "reward"),
-    (),
-)  # fmt: skip
+    ("episode_time", "episode_step", "episode_limit", "difficulty", *_OUTCOMES, "reward"), ()
+)
 _PREVIOUS = "previous_"
 
 # A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
@@ -50,8 +50,8 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
     """Run a method of the environment with settings of its own, whatever the learner has chosen.
 
     Matrix products are full float32: TF32 keeps three digits, too few for positions and rotations.
-    On the CPU there is one torch thread: the tensors are small, so more would gain nothing, and idle
-    ones of torch's pool would spin on the cores that the simulator's threads need.
+    On the CPU there is one torch thread: the tensors are small, so more would gain nothing, and
+    idle ones of torch's pool would spin on the cores that the simulator's threads need.
     """
 
     @functools.wraps(method)
@@ -71,6 +71,11 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
                 torch.set_num_threads(threads)
 
     return wrapped
+
+
+def _replace(kept: Tensor, value: Tensor, worlds: Tensor | None) -> None:
+    """Write `value` (N, …) into `kept`, in all worlds or where `worlds` (N,) is true."""
+    kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
 
 
 class Environment:
@@ -215,15 +220,11 @@ class Environment:
             for terms in (parts.rewards, parts.terminations, parts.measures)
         )
         wanted = list(self.readers())
-        previous = {
-            name for _, names in wanted for name in names
-            if name.startswith(_PREVIOUS) and name not in table.shapes and exists(name)
-        }  # fmt: skip
-        table.add(
-            {name: table.shapes[name.removeprefix(_PREVIOUS)] for name in sorted(previous)},
-            "the environment",
-        )
-        self._previous: dict[str, Tensor | None] = dict.fromkeys(sorted(previous))
+        asked = {name for _, names in wanted for name in names if name.startswith(_PREVIOUS)}
+        previous = sorted(name for name in asked if name not in table.shapes and exists(name))
+        shapes = {name: table.shapes[name.removeprefix(_PREVIOUS)] for name in previous}
+        table.add(shapes, "the environment")
+        self._previous: dict[str, Tensor | None] = dict.fromkeys(previous)
         for who, names in wanted:
             table.need(who, names, givers)
         for name in parts.initial_states.reads:
@@ -236,9 +237,8 @@ class Environment:
     def readers(self) -> Iterator[tuple[str, Sequence[str]]]:
         """Every part that reads fields, by its place in the configuration, and which ones."""
         parts = self.parts
-        for part in (
-            *parts.fields, *parts.encoders.values(), parts.actuation, *parts.memories.values()
-        ):  # fmt: skip
+        encoders, memories = parts.encoders.values(), parts.memories.values()
+        for part in (*parts.fields, *encoders, parts.actuation, *memories):
             yield part.where, tuple(part.reads.values())
         for term in (*parts.rewards, *parts.terminations, *parts.measures):
             yield term.where, tuple(term.reads.values())
@@ -249,8 +249,8 @@ class Environment:
     def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
 
-        With `seed`, the random streams begin anew too, so what follows repeats exactly; `draw` names
-        other streams of that seed, so that an evaluation begins where no training ever did.
+        With `seed`, the random streams begin anew too, so what follows repeats exactly; `draw`
+        names other streams of that seed, so that an evaluation begins where no training ever did.
         """
         if seed is not None:
             end = f"/{draw}" if draw else ""
@@ -281,8 +281,8 @@ class Environment:
 
     @_as_physics
     def advance(self, action: Tensor) -> Step:
-        """Apply `action` (N, A) for one decision and judge the states reached. They stay as they are,
-        to be read, recorded or harvested, until :meth:`begin`."""
+        """Apply `action` (N, A) for one decision and judge the states reached. They stay as they
+        are, to be read, recorded or harvested, until :meth:`begin`."""
         parts, table = self.parts, self.table
         self._remember()
         self.action.copy_(action)
@@ -321,7 +321,7 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         kept = {name: without_unsound(table[name]).clone() for name in self.next_fields}
-        returns = self.statistics.add(rewards)
+        returns = self.statistics.returns.add_(rewards).clone()
         step = Step(
             reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
         )
@@ -389,7 +389,7 @@ class Environment:
             kept, value = self._kept[field_name], values[name]
             if value is kept:
                 continue  # so that what is computed from it stays
-            kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
+            _replace(kept, value, worlds)
             self.table.put({field_name: kept})
 
     def _remember(self, worlds: Tensor | None = None) -> None:
@@ -405,9 +405,7 @@ class Environment:
             if kept is None:
                 kept = self._previous[name] = value.clone()
             else:
-                kept.copy_(
-                    value if worlds is None else torch.where(rows(worlds, kept), value, kept)
-                )
+                _replace(kept, value, worlds)
             self.table.put({name: kept})
 
     def evaluate(self, term: Term) -> Tensor:
@@ -473,22 +471,20 @@ class Environment:
         """Set the constants of beginning episodes."""
         for name, constant in self._constants.items():
             if name in values and not (self._context.evaluating and name == "episode_limit"):
-                constant.copy_(torch.where(rows(worlds, constant), values[name], constant))
+                _replace(constant, values[name], worlds)
 
     def refresh(self) -> None:
         """Forget every value but the environment's own: the state has changed."""
-        self.table.moved(
-            {
-                "episode_step": self.episode_step,
-                "episode_time": self.episode_step * self.control_dt,
-                **dict.fromkeys(("failed", "succeeded", "violated"), self._nowhere),
-                "reward": self._nothing,
-                "action": self.action,
-                **self._constants,
-                **self._kept,
-                **{name: kept for name, kept in self._previous.items() if kept is not None},
-            }
-        )
+        self.table.values = {
+            "episode_step": self.episode_step,
+            "episode_time": self.episode_step * self.control_dt,
+            **dict.fromkeys(_OUTCOMES, self._nowhere),
+            "reward": self._nothing,
+            "action": self.action,
+            **self._constants,
+            **self._kept,
+            **{name: kept for name, kept in self._previous.items() if kept is not None},
+        }
 
     def _quarantine(self, unsound: Tensor, before: dict[str, Tensor] | None) -> None:
         self.quarantined += unsound.sum()

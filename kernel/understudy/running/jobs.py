@@ -107,8 +107,8 @@ class Job(ABC):
         """Judge what was learned on data of the name `draw`, which iterations never use."""
 
     def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Judgement] | None:
-        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz. None where
-        there is no physics."""
+        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz.
+        None where there is no physics."""
         return None
 
     def record(

@@ -68,8 +68,8 @@ def returned(
 def check_initial(
     parts: Parts, num_worlds: int, varied: Sequence[str], given: Mapping[str, Tensor]
 ) -> None:
-    """What initial states and curriculum return: all that was promised, with the parameters that are
-    `varied`, and nothing else."""
+    """What initial states and curriculum return: all that was promised, with the parameters that
+    are `varied`, and nothing else."""
     simulator = parts.simulator
     promised = {
         **{name: simulator.fields[name] for name in simulator.state_fields},

@@ -24,10 +24,6 @@ class EpisodeStatistics:
         self._names += [f"ended_by/{t}" for t in self.terms]
         self._sums = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
-    def add(self, rewards: Tensor) -> Tensor:
-        """(N,) the running episodes' returns up to and with the `rewards` (N,) of one step."""
-        return self.returns.add_(rewards).clone()
-
     def digest(self, step: Step, seconds: Tensor) -> None:
         """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
         ended, endings = step.ended, [step.endings[t] for t in self.terms]

@@ -15,7 +15,8 @@ from understudy.task.terms import Wired
 class FieldTable:
     """Values of state fields at the present state.
 
-    Fields come from the simulator, from the environment (`own`), or from providers, which read other fields.
+    Fields come from the simulator, from the environment (`own`), or from providers,
+    which read other fields.
 
     Raises
     ------
@@ -29,7 +30,8 @@ class FieldTable:
     ) -> None:
         self._simulator = simulator
         self._provider: dict[str, Wired[Fields]] = {}
-        self.values: dict[str, Tensor] = {}  #: what is known of the present state
+        #: What is known of the present state; once that has changed, only the environment's own.
+        self.values: dict[str, Tensor] = {}
         self.shapes: dict[str, Shape] = {}
         self.source: dict[str, str] = {}
         self.add(simulator.fields, "the simulator")
@@ -81,10 +83,6 @@ class FieldTable:
                     f"provides.{hint}"
                 )
 
-    def moved(self, own: Mapping[str, Tensor]) -> None:
-        """Forget all values: the state has changed. `own` are the environment's fields now."""
-        self.values = dict(own)
-
     def put(self, fields: Mapping[str, Tensor]) -> None:
         """Set fields of the environment's own, and forget what was computed from them."""
         for name, value in fields.items():
@@ -93,17 +91,13 @@ class FieldTable:
                 self.values.pop(dependent, None)
 
     def __getitem__(self, name: str) -> Tensor:
-        value = self.values.get(name)
-        if value is None:
-            provider = self._provider.get(name)
-            if provider is None:
-                value = self.values[name] = self._simulator.read(name)
+        if name not in self.values:
+            if (provider := self._provider.get(name)) is None:
+                self.values[name] = self._simulator.read(name)
             else:
                 given = provider.part.compute(**self.pick(provider.reads))
-                for own_name, field in provider.provides.items():
-                    self.values[field] = given[own_name]
-                value = self.values[name]
-        return value
+                self.values |= {field: given[own] for own, field in provider.provides.items()}
+        return self.values[name]
 
     def pick(self, names: Mapping[str, str]) -> dict[str, Tensor]:
         """The fields that `names` maps parameters to, by parameter."""

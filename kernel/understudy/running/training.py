@@ -1,7 +1,8 @@
 """The loop of every run: iterate a job, record, evaluate now and then, and stop for a reason.
 
-The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`, so a run that is
-stopped at any moment continues from its last checkpoint as if it had never stopped; on the CPU, to the last bit.
+The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`,
+so a run that is stopped at any moment continues from its last checkpoint as if it had never
+stopped; on the CPU, to the last bit.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from typing import Any
 from understudy import distributed
 from understudy.errors import PreemptedError, RunError, said
 from understudy.records import checkpoint
-from understudy.records.checkpoint import misshapen
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run, differences, threads, versions
@@ -107,7 +107,7 @@ class Training:
     def _load(self, state: State, own: State, load: Callable[[State], None]) -> None:
         try:
             progress = {"pending": {}, **state["progress"]}
-            for misfit in misshapen(own, {**state, "progress": progress}, ""):
+            for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
             load(state)
             self.progress = Progress(**progress)
@@ -130,27 +130,30 @@ class Training:
         return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run; one that was stopped before the first starts from the
-        beginning.
+        """Load the newest intact checkpoint of the run;
+        one that was stopped before the first starts from the beginning.
 
         Raises
         ------
         RunError
-            if the checkpoint is not of a training, or does not fit; or if none is left of one that was under way.
+            if the checkpoint is not of a training, or does not fit;
+            or if none is left of one that was under way.
         """
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
                 raise RunError(
-                    f"{self.run.checkpoints} has no checkpoint, so the training that {self.run.metrics_file.name} tells of "
-                    "cannot go on. Restore the checkpoints from a copy, or train anew in another folder."
+                    f"{self.run.checkpoints} has no checkpoint, so the training that "
+                    f"{self.run.metrics_file.name} tells of cannot go on. Restore the checkpoints "
+                    "from a copy, or train anew in another folder."
                 )
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)
         if "config" not in meta:  # as of an unpacked skill
             raise RunError(
-                f"{self.run.path} holds what was learned, but not where the training stood. Begin another one with it: "
+                f"{self.run.path} holds what was learned, but not where the training stood. "
+                "Begin another one with it: "
                 f"`understudy train experiment=NAME start.run={self.run.path}`."
             )
         for change in differences(meta.get("config"), self.run.config):
@@ -159,8 +162,9 @@ class Training:
             self.reporter.message(f"Version differs from the checkpoint: {change}")
         if meta.get("threads", threads()) != threads() and self.job.device.type == "cpu":
             self.reporter.message(
-                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the bits are the same "
-                f"only with an equal number: OMP_NUM_THREADS={meta['threads']}."
+                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU "
+                "the bits are the same only with an equal number: "
+                f"OMP_NUM_THREADS={meta['threads']}."
             )
         self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
@@ -227,10 +231,9 @@ class Training:
                         if run is not None:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
-                    if run is not None:
-                        due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
-                        if due or stopping:
-                            self.save()
+                    due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
+                    if run is not None and (due or stopping):
+                        self.save()
                     if stopping:
                         raise self._preempted(stop.received)
                     try:
@@ -302,19 +305,18 @@ class Training:
         return max(options.every_samples, 1)
 
     def _evaluate_if_due(self) -> dict[str, float]:
-        """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on
-        a second, larger one. Returns the figures for the row of metrics."""
+        """Evaluate now and then; the criterion is met when it holds on one draw of starts and then
+        on a second, larger one. Returns the figures for the row of metrics."""
         options, progress, met = self.experiment.root.evaluation, self.progress, False
         if not self._due():
             return {}
         kind = "rehearsal" if self.job.coarse() else "evaluation"
         first = self._evaluate(kind, options.episodes, options.criterion)
         row = first.row(kind)
-        if options.criterion is None or not _reaches(first, options.criterion):
-            pass
-        elif kind == "rehearsal":
+        reached = _reaches(first, options.criterion)
+        if reached and kind == "rehearsal":
             self._rehearsed = True
-        else:
+        elif reached:
             second = self._evaluate("confirmation", options.final_episodes, options.criterion)
             met, row = _reaches(second, options.criterion), row | second.row("confirmation")
         progress.evaluated_at, progress.met = progress.samples, met
@@ -333,7 +335,8 @@ class Training:
         return evaluation
 
     def judge(self, record_seconds: float | None = None) -> tuple[Judgement, Recording | None]:
-        """The last evaluation, on starts that no other evaluation drew; recorded for `record_seconds`."""
+        """The last evaluation, on starts that no other evaluation drew;
+        recorded for `record_seconds`."""
         episodes = self.experiment.root.evaluation.final_episodes
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
@@ -363,6 +366,8 @@ def _meaning(config: Any) -> dict[str, Any]:
     return {k: v for k, v in known if k not in aside}
 
 
-def _reaches(evaluation: Judgement, criterion: float) -> bool:
+def _reaches(evaluation: Judgement, criterion: float | None) -> bool:
     rate = evaluation.success_rate
-    return evaluation.complete and rate is not None and rate >= criterion
+    if rate is None or criterion is None:
+        return False
+    return evaluation.complete and rate >= criterion

@@ -47,7 +47,7 @@ def build_sections(experiment: Experiment) -> dict[str, Any]:
     """What the config sections of plugins become."""
     registry = experiment.registry
     return {
-        name: registry.sections[name].make(options, registry, experiment.inputs)
+        name: registry.sections[name].build.factory(options, registry, experiment.inputs)
         for name, options in experiment.sections.items()
     }
 

@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import functools
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os.path import exists
 from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
-from omegaconf import OmegaConf, open_dict
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
-from understudy.options import items, untyped
+from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
-from understudy.setup.option_files import compose, marked, parsed, typed, unmarked
-from understudy.setup.plugins import Plugins, installed, kernel_conf
+from understudy.setup.option_files import MARK, compose, parsed
+from understudy.setup.plugins import Plugins, installed
 from understudy.setup.root import KEYS
-from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
+from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "option_directories",
-    "options", "refuse_resolvers", "replaced", "split_overrides",
-]  # fmt: skip
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "split_overrides",
+]
 
 
 @contextlib.contextmanager
@@ -48,11 +56,12 @@ _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
 def _check_length(text: str, overrides: int = 1) -> None:
-    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in which Hydra
-    reads one grows with the square of its length."""
+    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in
+    which Hydra reads one grows with the square of its length."""
     if len(text) > overrides * _LONGEST:
         raise ConfigError(
-            f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are read. Shorten it."
+            f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are "
+            "read. Shorten it."
         )
 
 
@@ -89,8 +98,8 @@ def readable(override: str) -> str:
 
 
 def _each_word(value: str, mend: Callable[[str], str]) -> str:
-    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word in it that
-    is not quoted. Brackets after an equals sign are the word's own."""
+    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word
+    in it that is not quoted. Brackets after an equals sign are the word's own."""
     result, word, depth, quote, within = "", "", 0, "", [""]
 
     def ended() -> str:
@@ -137,9 +146,8 @@ def _check(override: str, plugins: Plugins) -> None:
     except (HydraException, RecursionError) as error:
         raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
     group = read.key_or_group
-    if not _is_value(group, plugins) and (
-        "/" in group or "." not in group
-    ):  # its value names a file
+    names_file = not _is_value(group, plugins) and ("/" in group or "." not in group)
+    if names_file:
         names = chosen if isinstance(chosen, list) else [chosen]
         if any(map(_leads_out, (group, *names))):
             raise ConfigError(
@@ -167,8 +175,8 @@ _RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
 
 
 def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
-    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would be
-    filled in from this machine (``${oc.env:NAME}``)."""
+    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would
+    be filled in from this machine (``${oc.env:NAME}``)."""
     for override in overrides:
         if _RESOLVER.search(override):
             raise ConfigError(
@@ -178,7 +186,7 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
-    lines = unmarked(str(error)).splitlines()
+    lines = str(error).replace(MARK, "").splitlines()
     text = next((line.strip() for line in lines if line.strip()), "")
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:
@@ -198,13 +206,16 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
         return unknown_key(stray[1], plugins.registry)
     if unknown := re.search(r"Interpolation key '([^']*)' not found", text):
-        return f"${{{unknown[1]}}} takes the value of a key, and there is none of this name. As text it has a backslash: \\${{{unknown[1]}}}."
+        return (
+            f"${{{unknown[1]}}} takes the value of a key, and there is none of this name. "
+            f"As text it has a backslash: \\${{{unknown[1]}}}."
+        )
     return text or type(error).__name__
 
 
 def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
-    """That `path` needs a value, and which: what the files that `overrides` choose, or those that these
-    build on, say of it in a comment ``# needs PATH: …``."""
+    """That `path` needs a value, and which: what the files that `overrides` choose, or those that
+    these build on, say of it in a comment ``# needs PATH: …``."""
     choices = [tuple(o.lstrip("+").partition("=")[::2]) for o in overrides]
     for group, name in choices:  # grows
         file = options(plugins, group).get(name) if group.isidentifier() else None
@@ -216,17 +227,12 @@ def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
     return f"{path} is not set. Give it a value."
 
 
-def option_directories(plugins: Plugins) -> list[Path]:
-    """The directories of config options: the kernel's, then each plugin's."""
-    return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
-
-
 def options(plugins: Plugins, group: str) -> dict[str, Path]:
-    """The options that files offer for `group`, as one types them, and their files. Those whose name begins
-    with an underscore are for other files to build on."""
+    """The options that files offer for `group`, as one types them, and their files. Those whose
+    name begins with an underscore are for other files to build on."""
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
-        for folder in option_directories(plugins)
+        for _, folder in plugins.folders()
         for file in sorted((folder / group).rglob("[!_]*.yaml"))
     }
 
@@ -241,37 +247,38 @@ def _is_value(key: str, plugins: Plugins) -> bool:
 
 
 def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
-    """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions; validation
-    knows which ones exist."""
+    """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions;
+    validation knows which ones exist."""
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
-        plain = bool(equals and key) and key[0] not in "+~"
         sets = "." in key or value.startswith("{") or _is_value(key, plugins)
-        if _NUMERAL.search(value) and key[0] != "~":
-            several = sets and value[0] in "[{"
-            value = _each_word(value, _as_typed) if several else _as_typed(value, sets)
-            override = f"{key}={value}"
-        result.append(f"++{override}" if plain and sets else override)
+        if not key.startswith("~"):
+            mend = functools.partial(_as_typed, sets=sets)
+            override = f"{key}{equals}{_each_word(value, mend)}"
+        signed = key.startswith(("+", "~"))
+        result.append(f"++{override}" if sets and equals and not signed else override)
     return result
 
 
 _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)", re.IGNORECASE)
 
 
-def _as_typed(word: str, sets: bool = True) -> str:
-    """`word`; a number in quotes, where it is no value (`sets`), or a mark if its value does not say how it was typed."""
-    value = parsed(f"x={word}").value() if _NUMERAL.fullmatch(word) else word
-    mark = marked(value, word) if sets else word
-    return word if mark is value else f"'{mark}'"  # NaN equals nothing
+def _as_typed(word: str, sets: bool) -> str:
+    """`word`; in quotes if it is a number whose value does not say it, or names a file (not `sets`)."""
+    if not _NUMERAL.fullmatch(word):
+        return word
+    if not sets:
+        return f"'{word}'"
+    return word if as_yaml(parsed(f"x={word}").value()) == word else f"'{MARK}{word}'"
 
 
 def split_overrides(
     overrides: Sequence[str], plugins: Plugins
 ) -> tuple[list[str], dict[str, str], set[str]]:
-    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a section
-    whatever else chooses it, since Hydra has no null for a group of options; and the groups for which an
-    override chooses a file (``policy=mlp``)."""
+    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a
+    section whatever else chooses it, since Hydra has no null for a group of options; and the groups
+    for which an override chooses a file (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}
@@ -297,26 +304,6 @@ def _key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0]
 
 
-def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """`raw` less the options that a component chosen by an override (``policy={name: …}``) would
-    inherit from the one that a file chose: Hydra merges the two mappings."""
-    given: dict[str, set[str]] = {}
-    for override in map(parsed, overrides):
-        key = override.key_or_group
-        value = None if override.is_delete() else override.value()
-        if isinstance(value, Mapping) and "name" in value:
-            given[key] = {str(option) for option in value}
-        for above, options in given.items():
-            if key.startswith(f"{above}."):
-                options.add(key.removeprefix(f"{above}.").partition(".")[0])
-    for key, options in given.items():
-        component = at(raw, key)
-        if isinstance(component, dict):
-            for option in component.keys() - options:
-                del component[option]
-    return raw
-
-
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
@@ -332,24 +319,18 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     overrides = [readable(override) for override in overrides]
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
-        folders = option_directories(plugins)
-        config = compose(folders, for_hydra(kept, plugins))
-        if chosen:  # what task and experiment say of other choices does not hold for these
-            own = [o for o in kept if _key(o).partition(".")[0] in chosen]
-            alone = compose(folders, for_hydra(own, plugins))
-            with open_dict(config):
-                for key in chosen:
-                    config[key] = alone[key]
+        folders = [folder for _, folder in plugins.folders()]
+        config = compose(folders, for_hydra(kept, plugins), own=chosen)
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-    assert isinstance(raw, dict)
     refuse_code(raw)
-    given = typed(_as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied))
+    # Copied, since a key that takes another's value (``${…}``) may be of another type.
+    given = each(raw, copy.copy) | dict.fromkeys(emptied)
     for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
     with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text
-        if given != untyped(given):
+        if given != plain(given):
             validate(given, plugins.registry)
-    return untyped(given)
+    return plain(given)
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

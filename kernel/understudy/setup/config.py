@@ -10,6 +10,7 @@ from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
+from understudy.options import at, plain
 from understudy.setup.registry import Component, Registry
 from understudy.setup.root import Root
 
@@ -79,9 +80,11 @@ class Experiment:
         return found or Chosen("job", self.registry.find("job", USUAL_JOB, "job"), None, "job")
 
     def __repr__(self) -> str:
-        slots = (f"{slot}={'+'.join(c.component.name for c in self.choices[slot])}"
-                 for slot in self.choices if self.choices[slot])  # fmt: skip
-        return f"Experiment({', '.join(slots)}; seed {self.root.seed})"
+        names = {
+            s: "+".join(c.component.name for c in chosen) for s, chosen in self.choices.items()
+        }
+        slots = ", ".join(f"{slot}={name}" for slot, name in names.items() if name)
+        return f"Experiment({slots}; seed {self.root.seed})"
 
     def components(self) -> Iterator[Component]:
         """Every component in use."""
@@ -118,7 +121,7 @@ class Experiment:
     def effective(self) -> dict[str, Any]:
         """The configuration as plain data, every default filled in; validates to the same, also
         where plugins that it does not use are absent."""
-        found = _plain_data(dataclasses.asdict(self.root))
+        found = plain(dataclasses.asdict(self.root))
         for slot in self.registry.slots.values():
             chosen = self.choices[slot.name]
             if not chosen and slot.plugin:
@@ -126,21 +129,8 @@ class Experiment:
             value: Any = {c.name: c.effective() for c in chosen}
             if not slot.many:
                 value = chosen[0].effective() if chosen else None
-            _put(found, slot.name, _plain_data(value))
+            above, _, last = slot.name.rpartition(".")
+            (at(found, above) if above else found)[last] = plain(value)
         for name, options in self.sections.items():
-            found[name] = _plain_data(dataclasses.asdict(options))
+            found[name] = plain(dataclasses.asdict(options))
         return found
-
-
-def _plain_data(value: Any) -> Any:
-    """Tuples as lists: what JSON and YAML have."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain_data(v) for k, v in value.items()}
-    return [_plain_data(v) for v in value] if isinstance(value, (list, tuple)) else value
-
-
-def _put(tree: dict[str, Any], path: str, value: Any) -> None:
-    *above, last = path.split(".")
-    for key in above:
-        tree = tree[key]
-    tree[last] = value

@@ -1,16 +1,18 @@
 """Hydra's composing from files of options, less its own settings and its reading the same file twice.
 
-Hydra's compose API adds thirteen files for launchers, sweepers and logging to the seven that a composition
-needs, and throws them away.
+Hydra chooses the files. What they say is merged here, with numbers as they were typed beside their
+values. Its compose API knows values alone, and adds thirteen files for launchers, sweepers and
+logging to the seven that a composition needs, and throws them away.
 """
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import dataclasses
 import functools
 import os
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from stat import S_ISREG
 from typing import Any
@@ -19,25 +21,26 @@ import yaml
 from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
-from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.defaults_list import DefaultsList, create_defaults_list
+from hydra.core.default_element import ResultDefault
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
 from omegaconf._utils import get_yaml_loader
 
-from understudy.options import Typed, as_yaml
+from understudy.errors import ConfigError
+from understudy.options import as_typed, each, plain
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
 #: A file's path, time of change, size and number.
-State = tuple[str | int, ...]
-_read: dict[State, ConfigResult | None] = {}
-#: What files alone compose, by their folders and what chose them, and which files these were.
-_composed: dict[tuple[str, ...], tuple[dict[str, State | None], DictConfig]] = {}
-_MOST = 100  #: such compositions that are kept
+State = tuple[str, int, int, int]
+#: What was read: which files a file builds on, and what else it says.
+_read: dict[State, tuple[ConfigResult, dict[str, Any]]] = {}
+#: Stands before a number in a word of the command line, whose text is to be kept beside its value.
+MARK = "\ue000"
 
 
 @functools.lru_cache(1024)
@@ -46,39 +49,16 @@ def parsed(override: str) -> Override:
     return OverridesParser.create().parse_overrides([override])[0]
 
 
-#: The values of marks, which stand for numbers as they are typed while Hydra composes: it takes YAML's values alone.
-_marks: dict[str, Any] = {}
-
-
-def marked(value: Any, text: str) -> Any:
-    """`value`, or its mark where it is a number or a truth value and does not say that `text` was typed."""
-    if type(value) not in (bool, int, float) or as_yaml(value) == text:
-        return value
-    _marks[mark := f"\ue000{text}\ue001"] = value
-    return mark
-
-
-def unmarked(text: str) -> str:
-    """`text` with what was typed in place of marks."""
-    return re.sub("\ue000(.*?)\ue001", r"\1", text)
-
-
-def typed(value: Any) -> Any:
-    """The nested `value` with a :class:`Typed` in place of every mark; in keys and in texts what was typed."""
-    if isinstance(value, Mapping):
-        return {unmarked(k) if isinstance(k, str) else k: typed(v) for k, v in value.items()}
-    if not isinstance(value, str):
-        return list(map(typed, value)) if isinstance(value, list) else value
-    return Typed(_marks[value], unmarked(value)) if value in _marks else unmarked(value)
-
-
 class _Loader(get_yaml_loader()):
-    """OmegaConf's, of plain scalars as they are typed."""
+    """OmegaConf's, with numbers as they are typed, and keys that are text."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         value = super().construct_object(node, deep)
         scalar = isinstance(node, yaml.ScalarNode) and node.style is None
-        return marked(value, node.value) if scalar else value
+        return as_typed(value, node.value) if scalar else value
+
+    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[str, Any]:
+        return {str(key): value for key, value in super().construct_mapping(node, deep).items()}
 
 
 class OptionFiles(ConfigRepository):
@@ -86,38 +66,45 @@ class OptionFiles(ConfigRepository):
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
-        self.states: dict[str, State | None] = {}  #: of what was asked for
-        self._loaded: dict[str, ConfigResult | None] = {}
 
     def group_exists(self, config_path: str) -> bool:
         return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        if config_path not in self._loaded:
-            state = self.states[config_path] = self.state(config_path)
-            if state and state not in _read:
-                text = Path(str(state[0])).read_text(encoding="utf-8")
-                config = OmegaConf.create(_Loader(text).get_single_data() or {})
-                header = ConfigSource._get_header_dict(text[:512])
-                _read[state] = found = ConfigResult("understudy", str(state[0]), config, header)
-                found.is_schema_source = True  # for which Hydra seeks no schema
-                defaults = self._extract_defaults_list(config_path, config)
-                found.defaults_list = self._create_defaults_list(config_path, defaults)
-            kept = _read[state] if state else None
-            self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
-        return self._loaded[config_path]
+        found = self._found(config_path)
+        return found and copy.deepcopy(found[0])  # Hydra changes what it is given
 
-    def state(self, config_path: str) -> State | None:
+    def content(self, default: ResultDefault) -> dict[str, Any]:
+        """What the file of that choice says, at the place where it is put."""
+        _, content = self._found(default.config_path or "") or (None, {})
+        for key in reversed((default.package or "").split(".")):
+            content = {key: content} if key not in ("", "_global_") else content
+        return content
+
+    def _found(self, config_path: str) -> tuple[ConfigResult, dict[str, Any]] | None:
+        state = self._state(config_path)
+        if state and state not in _read:
+            text = Path(state[0]).read_text(encoding="utf-8")
+            content = _Loader(text).get_single_data() or {}
+            if not isinstance(content, dict):
+                raise ConfigError(f"{state[0]} is no mapping of keys to values. Write KEY: VALUE.")
+            chosen = OmegaConf.create({"defaults": plain(content.pop("defaults", []))})
+            header = ConfigSource._get_header_dict(text[:512])
+            found = ConfigResult("understudy", state[0], chosen, header)
+            found.is_schema_source = True  # for which Hydra seeks no schema
+            defaults = self._extract_defaults_list(config_path, chosen)
+            found.defaults_list = self._create_defaults_list(config_path, defaults)
+            _read[state] = (found, content)
+        return _read[state] if state else None
+
+    def _state(self, config_path: str) -> State | None:
         """The first file of that name, and what changes when its content does."""
-        name = f"{config_path.removesuffix('.yaml')}.yaml"
         for source in self.sources:
-            file = os.path.join(source.path, name)
-            try:
-                state = os.stat(file)
-            except (OSError, ValueError):
-                continue
-            if S_ISREG(state.st_mode):
-                return (file, state.st_mtime_ns, state.st_size, state.st_ino)
+            file = os.path.join(source.path, f"{config_path.removesuffix('.yaml')}.yaml")
+            with contextlib.suppress(OSError, ValueError):  # no file, or what none can be named
+                found = os.stat(file)
+                if S_ISREG(found.st_mode):
+                    return (file, found.st_mtime_ns, found.st_size, found.st_ino)
         return None
 
 
@@ -129,33 +116,42 @@ def choices(files: OptionFiles, overrides: Sequence[str]) -> DefaultsList:
     )
 
 
-def compose(folders: Iterable[Path], overrides: Sequence[str]) -> DictConfig:
-    """What Hydra composes from the files in `folders`, whatever its errors."""
+def compose(
+    folders: Iterable[Path], overrides: Sequence[str], own: Collection[str] = ()
+) -> DictConfig:
+    """What Hydra composes from the files in `folders`, whatever its errors; a number of which its
+    value does not say how it was typed is a :class:`understudy.options.Typed`.
+
+    Of the groups `own` nothing is taken but what their own files say. A component that an override
+    names (``policy={name: …}``) takes the place of what stands there, which Hydra would merge.
+    """
     files = OptionFiles(folders)
-    choosing = [o for o in overrides if not _sets(parsed(o), files)]
-    config = _of_files(files, choosing)
-    values = [parsed(o) for o in overrides if _sets(parsed(o), files)]
-    ConfigLoaderImpl._apply_overrides_to_config(values, config)
+    chosen = choices(files, overrides)
+    content: dict[str, Any] = {}
+    for default in chosen.defaults:
+        others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
+        said = files.content(default)
+        content = _merged(content, {k: v for k, v in said.items() if k not in others})
+    config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
+    for override in chosen.config_overrides:
+        value = each(override.value(), _number)
+        if isinstance(value, Mapping) and "name" in value and not override.is_delete():
+            OmegaConf.update(config, override.key_or_group, {}, merge=False, force_add=True)
+        override = dataclasses.replace(override, _value=value)
+        ConfigLoaderImpl._apply_overrides_to_config([override], config)
     return config
 
 
-def _sets(override: Override, files: OptionFiles) -> bool:
-    """Whether it sets a value; else Hydra takes it for a choice of files, or for nothing."""
-    if override.is_sweep_override():
-        return False
-    return isinstance(override.value(), dict) or not files.group_exists(override.key_or_group)
+def _merged(old: Any, new: Any) -> Any:
+    """`new` laid over `old`: mappings are merged, and all else is replaced."""
+    if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
+        return new
+    return {**old, **{key: _merged(old.get(key), item) for key, item in new.items()}}
 
 
-def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
-    """What the files have that `overrides` choose, composed anew only if one of them has changed."""
-    key = (*(source.path for source in files.sources), *overrides)
-    states, config = _composed.get(key, ({}, None))
-    if config is None or any(files.state(path) != state for path, state in states.items()):
-        defaults = choices(files, overrides).defaults
-        loader = ConfigLoaderImpl(ConfigSearchPathImpl())
-        config = loader._compose_config_from_defaults_list(defaults, files)
-        OmegaConf.set_struct(config, True)
-        if len(_composed) >= _MOST:
-            _composed.clear()
-        _composed[key] = (files.states, config)
-    return copy.deepcopy(config)
+def _number(value: Any) -> Any:
+    """The number that :data:`MARK` stands before, as it was typed; any other `value` itself."""
+    if not (isinstance(value, str) and value.startswith(MARK)):
+        return value
+    text = value.removeprefix(MARK)
+    return as_typed(parsed(f"x={text}").value(), text)

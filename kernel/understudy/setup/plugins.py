@@ -1,9 +1,10 @@
 """Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins bring.
 
-A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
-(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. The hook below,
-marked with ``@understudy.hookimpl``, registers what has to be found out; a module that has it says ``REQUIRES``
-if its tables are to be read, too. The bundled plugins are loaded exactly like a stranger's.
+A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in
+tables (:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside
+it. The hook below, marked with ``@understudy.hookimpl``, registers what has to be found out; a
+module that has it says ``REQUIRES`` if its tables are to be read, too. The bundled plugins are
+loaded exactly like a stranger's.
 """
 
 from __future__ import annotations
@@ -56,8 +57,10 @@ class Plugins:
     registry: Registry = field(default_factory=Registry)
     loaded: list[LoadedPlugin] = field(default_factory=list)
 
-    def config_directories(self) -> list[tuple[str, Path]]:
-        return [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
+    def folders(self) -> list[tuple[str, Path]]:
+        """Whose folders of options there are: the kernel's, which has no name, then each plugin's."""
+        found = [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
+        return [("", kernel_conf()), *found]
 
 
 def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] = ()) -> Plugins:
@@ -91,15 +94,15 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         if first.value != entry.value:
             other, by = about(first.dist)[0] or "another distribution", distribution or entry.value
             error = PluginError(
-                f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or rename its plugin."
+                f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or "
+                "rename its plugin."
             )
             _isolate(result, LoadedPlugin(f"{entry.name} of {by}", distribution, version), error)
         elif first is entry:  # else the same distribution, seen twice on the path
             _add(result, LoadedPlugin(entry.name, distribution, version), entry.load)
     for name, module in extra:
         _add(result, LoadedPlugin(name), lambda module=module: module)
-    registry = result.registry
-    faults = _broken_options(result) | registry.unknown_kinds() | registry.clashing_commands()
+    faults = _broken_options(result) | result.registry.unknown_kinds()
     for plugin in [p for p in result.loaded if p.name in faults]:
         result.loaded.remove(plugin)
         _isolate(result, plugin, faults[plugin.name])
@@ -169,11 +172,12 @@ def kernel_conf() -> Path:
 
 
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
-    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot be read."""
+    """By plugin: a config option that the kernel or an earlier plugin provides already,
+    or that cannot be read."""
     owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
-    for name, directory in [("", kernel_conf()), *plugins.config_directories()]:
+    for name, directory in plugins.folders():
         for file in sorted(directory.rglob("*.yaml")):
             option = file.relative_to(directory)
             if owner.setdefault(option, name) != name:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.errors import ConfigError, PluginError, said, suggestion
-from understudy.inputs import Inputs
 from understudy.options import Option, options_of
 from understudy.setup.root import KEYS
 from understudy.signals import StopRequest, is_stop
@@ -58,7 +57,8 @@ KERNEL_SLOTS: tuple[Slot, ...] = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A task, whose parts are the config option ``task/<name>``, or a kind of component."""
+    """A task, whose parts are the config option ``task/<name>``; a kind of component; a citation;
+    or a key of the kernel's own."""
 
     name: str
     summary: str
@@ -83,7 +83,9 @@ TABLES: dict[str, str] = {
 
 
 #: Keys of a configuration that are neither slot nor section.
-KERNEL_KEYS = KEYS | {"ablation", "defaults", "experiment", "hydra", "search"}
+KERNEL_KEYS = {
+    key: Entry(key, "") for key in KEYS | {"ablation", "defaults", "experiment", "hydra", "search"}
+}
 
 
 @dataclass(frozen=True)
@@ -133,44 +135,14 @@ class Component:
 class Section:
     """A top-level part of the configuration that a plugin owns (for example ``motion``).
 
-    ``build(options, registry, inputs)`` makes the object that components find under ``context.sections[name]``.
+    ``build(options, registry, inputs)`` makes the object that components find under
+    ``context.sections[name]``.
     """
 
     name: str
-    options: type | str
-    build: Callable[..., Any] | str
+    options: Component
+    build: Component
     plugin: str
-
-    def _resolve(self, target: Any) -> Any:
-        return Component("section", self.name, target, self.plugin).factory
-
-    def schema(self) -> type:
-        return self._resolve(self.options)
-
-    def make(self, options: Any, registry: Registry, inputs: Inputs) -> Any:
-        return self._resolve(self.build)(options, registry, inputs)
-
-
-def _check_texts(plugin: str, what: str, name: Any, *texts: Any) -> None:
-    """Raise :class:`PluginError` unless `name` can be typed, and `texts` are text."""
-    typed = isinstance(name, str) and name.isprintable() and name == " ".join(name.split()) != ""
-    if not typed or not all(isinstance(text, str) for text in texts):
-        raise PluginError(
-            f"Plugin '{plugin}' registers the {what} {name!r}, whose name or summary is no text."
-        )
-
-
-def _refuse_twice(other: Component | Entry | Section | None, plugin: str, what: str) -> None:
-    """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already, or
-    under a name that is not as it is typed."""
-    if "." in what:
-        typed = what.replace(".", "/")
-        raise PluginError(f"Plugin '{plugin}' registers the {what}. Write it as the {typed}.")
-    if other is not None:
-        raise PluginError(
-            f"Both plugin '{other.plugin}' and plugin '{plugin}' register the {what}. Rename one of "
-            f"them, or disable a plugin with UNDERSTUDY_DISABLE_PLUGINS={plugin}."
-        )
 
 
 @dataclass
@@ -183,24 +155,9 @@ class Registry:
     tasks: dict[str, Entry] = field(default_factory=dict)
     sections: dict[str, Section] = field(default_factory=dict)
     #: By (plugin, key): how to cite what the plugin implements.
-    citations: dict[tuple[str, str], str] = field(default_factory=dict)
+    citations: dict[tuple[str, str], Entry] = field(default_factory=dict)
     #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
     broken: dict[str, str] = field(default_factory=dict)
-
-    def clashing_commands(self) -> dict[str, PluginError]:
-        """Once all plugins are loaded: by plugin, a command that cannot be typed, or is another's by then."""
-        whole, groups = set[str](), set[str]()
-        faults: dict[str, PluginError] = {}
-        for c in (c for c in self.components.values() if c.kind == "command"):
-            *above, _ = words = c.name.split()
-            typed = len(words) <= 2 and all(re.fullmatch(r"[^\W_][\w-]*", word) for word in words)
-            if not typed or c.name in whole | groups or whole & set(above):
-                why = "exists already" if typed else "cannot be typed"
-                faults[c.plugin] = PluginError(f"it registers the command '{c.name}', which {why}.")
-            else:
-                whole.add(c.name)
-                groups.update(above)
-        return faults
 
     def unknown_kinds(self) -> dict[str, PluginError]:
         """Once all plugins are loaded: by plugin, a component of a kind that is nobody's."""
@@ -212,11 +169,6 @@ class Registry:
             for c in self.components.values()
             if c.kind not in self.kinds
         }
-
-    def add(self, component: Component) -> None:
-        other = self.components.get((component.kind, component.name))
-        _refuse_twice(other, component.plugin, f"{component.kind} '{component.name}'")
-        self.components[component.kind, component.name] = component
 
     def names(self, kind: str) -> list[str]:
         return sorted(name for k, name in self.components if k == kind)
@@ -241,12 +193,10 @@ class Registry:
 
     def remove(self, plugin: str) -> None:
         """Forget what `plugin` registered."""
-        tables: Any = (self.components, self.tasks, self.sections, self.kinds, self.slots)
-        for table in tables:
-            for key in [k for k, entry in table.items() if entry.plugin == plugin]:
-                del table[key]
-        for citation in [c for c in self.citations if c[0] == plugin]:
-            del self.citations[citation]
+        for title, table in vars(self).items():
+            if title != "broken":
+                for key in [k for k, entry in table.items() if entry.plugin == plugin]:
+                    del table[key]
 
 
 @dataclass(frozen=True)
@@ -262,17 +212,29 @@ class Registrar:
         self, kind: str, name: str, target: Callable[..., Any] | str, summary: str = ""
     ) -> None:
         """Register a component. `target` is a class, a term function, or ``"module:name"``."""
-        _check_texts(self.plugin, f"{kind}", name, kind, summary)
         if not (callable(target) or isinstance(target, str)):
             raise PluginError(
                 f"Plugin '{self.plugin}' registers {target!r} as the {kind} '{name}'."
             )
         origin = (self.plugin, self.distribution, self.version)
-        self.registry.add(Component(kind, name, target, *origin, summary))
+        component = Component(kind, name, target, *origin, summary)
+        self._add(kind, self.registry.components, (kind, name), component, summary)
+        if kind == "command":
+            self._check_command(name)
+
+    def _check_command(self, name: str) -> None:
+        """Raise :class:`PluginError` for a command that cannot be typed, or is a group of others."""
+        words = name.split()
+        typed = len(words) <= 2 and all(re.fullmatch(r"[^\W_][\w-]*", word) for word in words)
+        others = self.registry.names("command")
+        clash = any(o.startswith(f"{name} ") or name.startswith(f"{o} ") for o in others)
+        if not typed or clash:
+            why = "exists already" if typed else "cannot be typed"
+            raise PluginError(f"it registers the command '{name}', which {why}.")
 
     def tables(self, module: Any) -> None:
-        """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it has them.
-        A place, ``"module:name"``, is within the module's package."""
+        """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it
+        has them. A place, ``"module:name"``, is within the module's package."""
         package = getattr(module, "__package__", None)
 
         def at(place: Any) -> Any:
@@ -305,39 +267,52 @@ class Registrar:
 
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
-        _check_texts(self.plugin, "task", name, summary)
-        _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
-        self.registry.tasks[name] = Entry(name, summary, self.plugin)
+        self._add("task", self.registry.tasks, name, Entry(name, summary, self.plugin), summary)
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
-        _check_texts(self.plugin, "section", name)
-        _refuse_twice(self.registry.sections.get(name), self.plugin, f"section '{name}'")
-        if name in self.registry.slots or name in KERNEL_KEYS:
-            raise PluginError(f"Plugin '{self.plugin}' adds the section '{name}', which is taken.")
-        self.registry.sections[name] = Section(name, options, build, self.plugin)
+        schema = Component("section", name, options, self.plugin)
+        maker = Component("section", name, build, self.plugin)
+        section = Section(name, schema, maker, self.plugin)
+        self._add("section", self.registry.sections, name, section)
 
     def kind(self, name: str, summary: str) -> None:
         """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
-        _check_texts(self.plugin, "kind", name, summary)
-        if name in self.registry.kinds:
-            raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which there is.")
-        self.registry.kinds[name] = Entry(name, summary, self.plugin)
+        self._add("kind", self.registry.kinds, name, Entry(name, summary, self.plugin), summary)
 
     def slot(self, name: str, kind: str, summary: str, *, many: bool = False) -> None:
         """Add a top-level slot `name` of the plugin's own, filled by components of `kind`; jobs
         build what fills it (``experiment.need(name).build(…)``)."""
-        _check_texts(self.plugin, "slot", name, kind, summary)
-        taken = {*self.registry.slots, *self.registry.sections, *KERNEL_KEYS}
-        if name in taken or "." in name:
-            raise PluginError(
-                f"Plugin '{self.plugin}' adds the slot '{name}', which exists already or has a dot."
-            )
-        self.registry.slots[name] = Slot(name, kind, summary, many, self.plugin)
+        slot = Slot(name, kind, summary, many, self.plugin)
+        self._add("slot", self.registry.slots, name, slot, kind, summary)
 
     def citation(self, key: str, text: str) -> None:
         """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
-        _check_texts(self.plugin, "citation", key, text)
-        if (self.plugin, key) in self.registry.citations:
-            raise PluginError(f"Plugin '{self.plugin}' gives the citation '{key}' twice.")
-        self.registry.citations[self.plugin, key] = text
+        entry = Entry(key, text, self.plugin)
+        self._add("citation", self.registry.citations, (self.plugin, key), entry, text)
+
+    def _add(self, what: str, table: dict[Any, Any], key: Any, entry: Any, *texts: Any) -> None:
+        """Put `entry` into `table`, or raise :class:`PluginError`: its name cannot be typed, one of
+        the `texts` is none, or the name is somebody's already."""
+        name, by = entry.name, f"Plugin '{self.plugin}'"
+        typed = " ".join(str(name).split()) == name != "" and name.isprintable()
+        if not typed or not all(isinstance(text, str) for text in (what, *texts)):
+            raise PluginError(
+                f"{by} registers the {what} {name!r}, whose name or summary is no text."
+            )
+        if "." in name:
+            slashed = name.replace(".", "/")
+            raise PluginError(
+                f"{by} registers the {what} '{name}', whose name has a dot. Write it as the {what} "
+                f"'{slashed}'."
+            )
+        registry, there = self.registry, table
+        if what in ("slot", "section"):  # which are keys of one configuration
+            there = {**KERNEL_KEYS, **registry.slots, **registry.sections}
+        if (other := there.get(key)) is not None:
+            owner = f"plugin '{other.plugin}'" if other.plugin else "understudy itself"
+            raise PluginError(
+                f"Both {owner} and plugin '{self.plugin}' register the {what} '{name}'. Rename "
+                f"one, or disable a plugin with UNDERSTUDY_DISABLE_PLUGINS={self.plugin}."
+            )
+        table[key] = entry

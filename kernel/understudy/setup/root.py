@@ -10,7 +10,8 @@ from understudy.options import check_range
 
 __all__ = ["Root"]
 
-#: The most steps of physics in a decision, decisions in an episode of an evaluation, and in all of its episodes.
+#: The most steps of physics in a decision, decisions in an episode of an evaluation, and in all of
+#: its episodes.
 _STEPS, _DECISIONS, _JUDGED = 100_000, 1_000_000, 100_000_000
 
 
@@ -28,8 +29,8 @@ class ControlOptions:
         check_range(self, "decision", least=1, most=10_000)
         if self.substeps * self.decision > _STEPS:
             raise ValueError(
-                f"decision={self.decision} is not possible: with substeps={self.substeps} a decision would be "
-                f"more than {_STEPS} steps of physics."
+                f"decision={self.decision} is not possible: with substeps={self.substeps} a "
+                f"decision would be more than {_STEPS} steps of physics."
             )
 
 
@@ -37,8 +38,8 @@ class ControlOptions:
 class ResolutionOptions:
     """Coarser physics that a training begins with; ``control.substeps`` is what it is judged by.
 
-    It switches to the latter, *sharpens*, as soon as the criterion is met at the coarse physics, the
-    curriculum has reached `difficulty`, or the share `budget` of the budget is spent.
+    It switches to the latter, *sharpens*, as soon as the criterion is met at the coarse physics,
+    the curriculum has reached `difficulty`, or the share `budget` of the budget is spent.
     """
 
     substeps: int | None = None  #: physics steps per control period at first; null is the task's
@@ -143,8 +144,8 @@ class RunOptions:
 @dataclass(frozen=True)
 class RewardOptions:
     terms: Mapping[str, Any] = field(default_factory=dict)  #: by name: {name: COMPONENT, weight: 1}
-    #: ``sum``: each term times its weight, added. ``product``: each term to the power of its weight,
-    #: multiplied; none may be negative.
+    #: ``sum``: each term times its weight, added. ``product``: each term to the power of its
+    #: weight, multiplied; none may be negative.
     combine: Literal["sum", "product"] = "product"
 
 
@@ -179,14 +180,15 @@ class Root:
         decisions = self.evaluation.seconds * self.control.frequency / self.control.decision
         if decisions > _DECISIONS:
             raise ValueError(
-                f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would be more than "
-                f"{_DECISIONS} decisions."
+                f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would "
+                f"be more than {_DECISIONS} decisions."
             )
         for name in ("episodes", "final_episodes"):
             count = getattr(self.evaluation, name)
             if count * decisions > _JUDGED:
                 raise ValueError(
-                    f"evaluation.{name}={count} is not possible: an evaluation would be more than {_JUDGED} decisions."
+                    f"evaluation.{name}={count} is not possible: an evaluation would be more than "
+                    f"{_JUDGED} decisions."
                 )
         coarse, own = self.resolution.substeps, self.control.substeps
         if coarse is not None and coarse > own:

@@ -15,6 +15,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.options import (
     Option,
     as_yaml,
+    at,
     checked_options,
     filled,
     items,
@@ -26,7 +27,7 @@ from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import KEYS, Root
 from understudy.task.terms import Outcome, Reduction
 
-__all__ = ["EXTRAS", "at", "refuse_code", "root_keys", "validate"]
+__all__ = ["EXTRAS", "refuse_code", "root_keys", "validate"]
 
 #: What components of a kind take beside their own options: renamed fields, and how terms count.
 _READS = {"reads": Option("reads", dict[str, str], {})}
@@ -66,7 +67,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         root=root,
         choices=choices,
         sections={
-            name: make_options(section.schema(), raw[name], name)
+            name: make_options(section.options.factory, raw[name], name)
             for name, section in registry.sections.items()
             if raw.get(name) is not None
         },
@@ -81,7 +82,8 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
             if low < 0:
                 raise ConfigError(
                     f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, and "
-                    "reward.combine=product takes no negative terms. Use reward.combine=sum, or another term."
+                    "reward.combine=product takes no negative terms. Use reward.combine=sum, or "
+                    "another term."
                 )
     return experiment
 
@@ -102,13 +104,6 @@ def unknown_key(key: str, registry: Registry) -> str:
 
 #: Groups of the root that an override of null empties.
 GROUPS = ("reward", "termination")
-
-
-def at(raw: Any, path: str) -> Any:
-    """What stands at the key path `path`, or None."""
-    for key in path.split("."):
-        raw = raw.get(key) if isinstance(raw, Mapping) else None
-    return raw
 
 
 def _chosen(slot: Slot, value: Any, registry: Registry) -> Iterator[Chosen]:

@@ -4,10 +4,10 @@ Shapes: N worlds, T steps, D observation size, A action size, U control size. Al
 live on one device; float32 unless said otherwise. Interfaces are abstract, implementations final:
 to change a part, wrap or replace it.
 
-A component's class takes ``(options, context)``: an instance of its nested ``Options`` dataclass and
-the :class:`Context` of what is being built. Terms (rewards, terminations, measures) are plain
-functions: their positional parameters name the state fields they read, one with a default being read
-only where the task has it; their keyword-only parameters are options.
+A component's class takes ``(options, context)``: an instance of its nested ``Options`` dataclass
+and the :class:`Context` of what is being built. Terms (rewards, terminations, measures) are plain
+functions: their positional parameters name the state fields they read, one with a default being
+read only where the task has it; their keyword-only parameters are options.
 """
 
 from understudy.task.actions import ActionSpace, Box, Choice, box
@@ -17,6 +17,20 @@ from understudy.task.physics import Scene, Simulator
 from understudy.task.rollout import Rollout
 
 __all__ = [
-    "ActionSpace", "Actuation", "Box", "Choice", "Context", "Curriculum", "Encoder", "Fields",
-    "InitialStates", "Memory", "Rollout", "Scene", "Shape", "Simulator", "State", "box",
-]  # fmt: skip
+    "ActionSpace",
+    "Actuation",
+    "Box",
+    "Choice",
+    "Context",
+    "Curriculum",
+    "Encoder",
+    "Fields",
+    "InitialStates",
+    "Memory",
+    "Rollout",
+    "Scene",
+    "Shape",
+    "Simulator",
+    "State",
+    "box",
+]

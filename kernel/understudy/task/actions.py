@@ -15,8 +15,8 @@ Around = str | tuple[float, ...] | None
 class Box:
     """`size` real numbers, unbounded: what they mean and how they are limited is the actuation's.
 
-    Learners that act in [-1, 1] span what is within `reach` of `around`: 0, numbers, or the field of
-    that name, (N, size).
+    Learners that act in [-1, 1] span what is within `reach` of `around`: 0, numbers,
+    or the field of that name, (N, size).
     """
 
     size: int

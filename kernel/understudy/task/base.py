@@ -70,7 +70,8 @@ class Context:
         return self._shared[key]
 
     def need_scene(self, kind: type[T], who: str) -> T:
-        """The scene, or the one of its members, that is a `kind`; else an error naming `who` needs it."""
+        """The scene, or the one of its members, that is a `kind`;
+        else an error naming `who` needs it."""
         scenes = [self.scene, *(self.scene.members.values() if self.scene else ())]
         found = [scene for scene in scenes if isinstance(scene, kind)]
         if len(found) != 1:

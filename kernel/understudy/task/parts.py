@@ -1,9 +1,10 @@
 """The parts of a task that turn state into something else: fields, observations, controls, memory,
 and where episodes begin.
 
-All but initial states and curricula are pure: what they keep, the environment keeps for them. Fields come in by
-keyword, under the names in ``reads``. On an accelerator a step is captured once and replayed, so tensors that a part
-uses in a step are changed in place, never replaced, and nothing in a step waits for the device.
+All but initial states and curricula are pure: what they keep, the environment keeps for them.
+Fields come in by keyword, under the names in ``reads``. On an accelerator a step is captured once
+and replayed, so tensors that a part uses in a step are changed in place, never replaced, and
+nothing in a step waits for the device.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class Fields(ABC):
 
 
 class Encoder(ABC):
-    """Turns state fields into one observation tensor (N, …). A pure function, not a network: those are
-    the policy's."""
+    """Turns state fields into one observation tensor (N, …). A pure function, not a network:
+    those are the policy's."""
 
     reads: tuple[str, ...]
     #: Shape of the observation without N.
@@ -77,11 +78,12 @@ class Actuation(ABC):
 
 
 class Memory(ABC):
-    """Tensors per world that carry an episode's past: timers, latches, means, targets drawn anew. No
-    replay buffer, and no recurrent state of a network.
+    """Tensors per world that carry an episode's past: timers, latches, means, targets drawn anew.
+    No replay buffer, and no recurrent state of a network.
 
-    They are fields. After every control period :meth:`advance` is called with the fields as they are then, among them
-    its own tensors from before; memories advance in the order of the configuration.
+    They are fields. After every control period :meth:`advance` is called with the fields as they
+    are then, among them its own tensors from before; memories advance in the order of the
+    configuration.
     """
 
     reads: tuple[str, ...] = ()
@@ -118,8 +120,9 @@ class InitialStates(ABC):
 
     @abstractmethod
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        """One initial state for each of the N worlds: the simulator's ``state_fields``, ``episode_fields`` and
-        ``varies``, each (N, …). The environment uses the rows of worlds that begin."""
+        """One initial state for each of the N worlds: the simulator's ``state_fields``,
+        ``episode_fields`` and ``varies``, each (N, …). The environment uses the rows of worlds that
+        begin."""
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         """Learn from a digested rollout (its ``returns`` are set); returns metrics."""

@@ -31,8 +31,8 @@ class Scene(ABC):
         """Facts for provenance: sizes, masses, names."""
 
     def identity(self) -> Mapping[str, str]:
-        """By state field, the thing whose state it is, in words that differ between things: the state of another
-        garment or body is not to be taken for one of this."""
+        """By state field, the thing whose state it is, in words that differ between things: the
+        state of another garment or body is not to be taken for one of this."""
         return {}
 
     def draw(
@@ -93,22 +93,24 @@ class Simulator(ABC):
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         """Put the worlds where `worlds` (N,) bool is true into `state` at rest time.
 
-        `state` has the ``state_fields`` and may have controls, which are 0 else, and varied parameters,
-        each (N, …). Parameters that it leaves out keep their values.
+        `state` has the ``state_fields`` and may have controls, which are 0 else, and varied
+        parameters, each (N, …). Parameters that it leaves out keep their values.
         """
 
     @abstractmethod
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        """Advance every world by one control period, or by `substeps` physics steps, under `control` (N, U)."""
+        """Advance every world by one control period, or by `substeps` physics steps,
+        under `control` (N, U)."""
 
     @abstractmethod
     def failed(self) -> Tensor:
-        """(N,) bool: worlds that went wrong (non-finite, diverged, reset by the engine) since their state
-        was set, or in the steps since this was last asked. It is asked after every step."""
+        """(N,) bool: worlds that went wrong (non-finite, diverged, reset by the engine) since their
+        state was set, or in the steps since this was last asked. It is asked after every step."""
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of everything that decides the future, varied parameters too, each (N, …), in full precision."""
+        """A copy of everything that decides the future, varied parameters too, each (N, …),
+        in full precision."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
@@ -118,8 +120,9 @@ class Simulator(ABC):
     def replayed(
         self, work: Callable[[Tensor], T], environment: Environment
     ) -> Callable[[Tensor], T]:
-        """`work` on an action (N, A), which steps `environment`, as it is called from now on: an accelerator
-        may take it down once and replay it. What it returns is then overwritten by the next call."""
+        """`work` on an action (N, A), which steps `environment`, as it is called from now on: an
+        accelerator may take it down once and replay it. What it returns is then overwritten by the
+        next call."""
         return work
 
     def report(self) -> dict[str, int]:

@@ -51,8 +51,8 @@ def renamed(
 
 
 def ranges(low: float, high: float) -> Callable[[T], T]:
-    """Declares between which values a reward term, a function or a class, lies. A product of rewards
-    refuses one that can be negative."""
+    """Declares between which values a reward term, a function or a class, lies. A product of
+    rewards refuses one that can be negative."""
 
     def declare(term: T) -> T:
         term.range = (low, high)  # type: ignore[attr-defined]

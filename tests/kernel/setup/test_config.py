@@ -13,9 +13,9 @@ from worlds import SMALL, make_training
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.options import coerce
+from understudy.options import as_typed, coerce
 from understudy.setup.composition import compose_raw, load_experiment, readable, replaced
-from understudy.setup.option_files import compose, marked, typed
+from understudy.setup.option_files import compose
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.setup.root import Root
 from understudy.setup.validation import refuse_code, validate
@@ -402,7 +402,7 @@ def test_a_file_of_options_takes_what_is_typed(word: str, tmp_path: Path) -> Non
         f"dir: {word}\nlist: [{word}, x]\n{word}: y\nagain: ${{dir}}\nwithin: a/${{dir}}.b\nrate: 1e-3\n"
         f"choice: {word}\nflag: on\n"
     )
-    found = typed(OmegaConf.to_container(compose([tmp_path], ["+x=3"]), resolve=True))
+    found = OmegaConf.to_container(compose([tmp_path], ["+x=3"]), resolve=True)
     kinds = {"dir": str, "list": list[str], "again": str, "within": str, "rate": float,
              "choice": Literal["a", word], "x": int, "flag": bool}  # fmt: skip
     within = {"true": "True"}.get(
@@ -416,7 +416,7 @@ def test_a_file_of_options_takes_what_is_typed(word: str, tmp_path: Path) -> Non
 
 
 def test_what_else_an_option_takes_it_takes_first() -> None:
-    number = typed(marked(1000.0, "1e3"))
+    number = as_typed(1000.0, "1e3")
     assert coerce(number, str | float, "x") == coerce(number, float | str | None, "x") == 1000.0
     assert coerce(True, str | bool, "x") is True
     assert coerce(number, Any, "x") == 1000.0
@@ -430,3 +430,13 @@ def test_a_number_names_a_file_of_options() -> None:
     for word in ("2024", "1e3", "true"):
         with pytest.raises(ConfigError, match=rf"^There is no experiment={word}\."):
             compose_raw([f"experiment={word}"])
+
+
+def test_a_named_component_has_nothing_of_the_one_before_it() -> None:
+    raw = compose_raw(["experiment=spacetime/walk", "policy={name: x, feedback: {a: 1}}"])
+    assert raw["policy"] == {"name": "x", "feedback": {"a": 1}}
+
+
+def test_of_two_that_share_a_number_one_may_take_the_text() -> None:
+    found = compose_raw(["experiment=spacetime/walk", "run.dir=${num_worlds}", "num_worlds=1e3"])
+    assert (found["run"]["dir"], found["num_worlds"]) == ("1e3", 1000)

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hydra.core.default_element import ResultDefault
 from omegaconf import OmegaConf
 
-from understudy.options import untyped
-from understudy.setup.composition import compose_raw, option_directories
-from understudy.setup.option_files import OptionFiles, compose, parsed, typed
+from understudy.options import plain
+from understudy.setup.composition import compose_raw
+from understudy.setup.option_files import OptionFiles, compose, parsed
 from understudy.setup.plugins import Plugins
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -27,8 +28,9 @@ def x(tmp_path: Path) -> Callable[[], object]:
         folder.mkdir()
 
     def x() -> object:
-        found = OptionFiles(folders).load_config("a")
-        return found and found.config.x  # type: ignore[union-attr]
+        files = OptionFiles(folders)
+        choice = ResultDefault(config_path="a", package="")
+        return files.content(choice)["x"] if files.load_config("a") else None
 
     return x
 
@@ -46,11 +48,12 @@ def test_what_changes_is_read_anew(x: Callable[[], object], tmp_path: Path) -> N
 
 
 def test_what_is_kept_is_not_what_is_handed_out(x: Callable[[], object], tmp_path: Path) -> None:
-    (tmp_path / "first" / "a.yaml").write_text("x: 1\n")
+    (tmp_path / "first" / "a.yaml").write_text("defaults: [b]\nx: 1\n")
     found = OptionFiles([tmp_path / "first"]).load_config("a")
     assert found is not None
-    found.config.x = 2  # type: ignore[union-attr]
-    assert x() == 1
+    assert found.defaults_list
+    found.defaults_list.clear()
+    assert OptionFiles([tmp_path / "first"]).load_config("a") != found
     value = parsed("a=[1,{b: [2]}]").value()
     assert isinstance(value, list)
     value[1]["b"].append(3)  # type: ignore[index, union-attr]
@@ -108,9 +111,9 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
     ],
 )
 def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
-    folders = option_directories(plugins)
+    folders = [folder for _, folder in plugins.folders()]
     ours = OmegaConf.to_container(compose(folders, overrides))
-    assert untyped(typed(ours)) == OmegaConf.to_container(hydras(folders, overrides))
+    assert plain(ours) == OmegaConf.to_container(hydras(folders, overrides))
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:

@@ -78,13 +78,13 @@ def test_all_tables_are_registered(package: ModuleType) -> None:
     assert [registry.slots[name].many for name in ("paint", "layers")] == [False, True]
     assert registry.find("paint", "data/red").target == "house_of_data.colours:Red"
     section = registry.sections["canvas"]
-    assert (section.options, section.build) == (
+    assert (section.options.target, section.build.target) == (
         "house_of_data.colours:Options",
         "house_of_data.colours:build",
     )
     assert registry.tasks["data/draw"].plugin == "data"
-    assert registry.citations["data", "data"] == "Newton 1704. Opticks."
-    assert dict(plugins.config_directories())["data"] == Path(str(package.__file__)).parent / "conf"
+    assert registry.citations["data", "data"].summary == "Newton 1704. Opticks."
+    assert dict(plugins.folders())["data"] == Path(str(package.__file__)).parent / "conf"
 
 
 def test_nothing_is_imported_before_it_is_used(package: ModuleType) -> None:
@@ -139,5 +139,5 @@ def test_a_module_in_no_package_has_no_options_by_convention(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "modules", dict(sys.modules))
     plugins = loaded(importlib.import_module("house_alone"))
-    assert "data" not in dict(plugins.config_directories())
+    assert "data" not in dict(plugins.folders())
     assert plugins.registry.find("reward", "alone").target == "house_alone:a"

@@ -153,7 +153,7 @@ def recorded_scene(run: Run) -> Scene:
     experiment = unsimulated(run)
     made, inputs = experiment.registry.sections, experiment.inputs
     sections = {
-        name: made[name].make(options, experiment.registry, inputs)
+        name: made[name].build.factory(options, experiment.registry, inputs)
         for name, options in experiment.sections.items()
         if name != "motion"  # its clip may not be there any more
     }

@@ -12,6 +12,7 @@ import torch
 from understudy import distributed
 from understudy.command.command import tell
 from understudy.errors import RunError
+from understudy.options import at
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
@@ -19,7 +20,7 @@ from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
-from understudy.setup.validation import at, validate
+from understudy.setup.validation import validate
 from understudy.signals import StopRequest
 from understudy_training import processes, watching
 

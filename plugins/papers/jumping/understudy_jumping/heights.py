@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
+from understudy.options import at
 from understudy.records import runs
 from understudy.records.runs import newest_state
 from understudy.running.jobs import Judgement
-from understudy.setup.validation import at
 from understudy_characters.recording import unsimulated
 from understudy_judging.commands import load
 from understudy_jumping.arena import ArenaOptions

@@ -11,7 +11,6 @@ import yaml
 
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import make_options
-from understudy.setup.composition import option_directories
 from understudy.setup.plugins import Plugins
 
 __all__ = ["load_table"]
@@ -175,7 +174,7 @@ def variant_name(row: str, column: str) -> str:
 def table_files(plugins: Plugins) -> dict[str, Path]:
     """Every table that a plugin offers, by name (``spacetime/table_3_1``)."""
     found = {}
-    for directory in option_directories(plugins):
+    for _, directory in plugins.folders():
         folder = directory / FOLDER
         for file in sorted(folder.rglob("*.yaml")):
             found[file.relative_to(folder).with_suffix("").as_posix()] = file

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from understudy.setup.plugins import Plugins, kernel_conf
+from understudy.setup.plugins import Plugins
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Offer:
 
 def offers(plugins: Plugins, group: str) -> Iterator[Offer]:
     """The files of `group`, the kernel's first and then plugin by plugin."""
-    for plugin, folder in [("", kernel_conf()), *plugins.config_directories()]:
+    for plugin, folder in plugins.folders():
         for file in sorted((folder / group).rglob("[!_]*.yaml")):
             name = file.relative_to(folder / group).with_suffix("").as_posix()
             yield Offer(name, plugin, file)

@@ -205,9 +205,8 @@ def _component(component: Component, plugins: Plugins) -> str:
     ]
     if files:
         parts.append("\n".join(["Chosen by", *files]))
-    cited = [
-        t for (plugin, _), t in plugins.registry.citations.items() if plugin == component.plugin
-    ]
+    citations = plugins.registry.citations.values()
+    cited = [c.summary for c in citations if c.plugin == component.plugin]
     if cited:
         parts.append("\n".join(["Please cite", *(f"  {text}" for text in cited)]))
     return "\n\n".join(part for part in parts if part)

@@ -10,15 +10,10 @@ import yaml
 from understudy.errors import UnderstudyError
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.setup.composition import (
-    for_hydra,
-    hydra_session,
-    option_directories,
-    split_overrides,
-)
+from understudy.setup.composition import for_hydra, hydra_session, split_overrides
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import OptionFiles, choices, parsed
-from understudy.setup.plugins import Plugins, installed, kernel_conf
+from understudy.setup.plugins import Plugins, installed
 from understudy.setup.validation import validate
 
 
@@ -63,8 +58,8 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
     origin: dict[str, str] = {}
     overrides, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
-        sources = [("understudy", kernel_conf()), *plugins.config_directories()]
-        files = OptionFiles(option_directories(plugins))
+        sources = [(name or "understudy", folder) for name, folder in plugins.folders()]
+        files = OptionFiles([folder for _, folder in sources])
         for item in choices(files, for_hydra(overrides, plugins)).defaults:
             path = item.config_path or ""
             for owner, source in sources:

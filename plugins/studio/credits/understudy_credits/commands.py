@@ -79,7 +79,7 @@ def _citations(info: object) -> list[str]:
     for (_, name), component in registry.components.items():
         if f'"name": {json.dumps(name)}' in text:
             used.add(component.plugin)
-    return [text for (plugin, _), text in registry.citations.items() if plugin in used]
+    return [c.summary for c in registry.citations.values() if c.plugin in used]
 
 
 class Licence(Command):
