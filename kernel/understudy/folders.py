@@ -39,8 +39,7 @@ def check_within(folder: Path) -> None:
                             inside = os.path.commonpath([top, os.path.realpath(entry.path)]) == top
                             if not inside:
                                 raise RunError(
-                                    f"{entry.path} is a link that leads out of {folder}. Put what it "
-                                    "leads to in its place, or remove it."
+                                    f"{entry.path} is a link that leads out of {folder}. Put what it leads to in its place, or remove it."
                                 )
                         elif not stat.S_ISREG(mode):
                             raise RunError(f"{entry.path} is neither file nor folder. Remove it.")

@@ -108,8 +108,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     version = document.get("format")
     if version not in (2, FORMAT):
         raise RunError(
-            f"{path} has checkpoint format {version}, and this understudy reads {FORMAT}. Use the "
-            "version of understudy that wrote it, or train anew."
+            f"{path} has checkpoint format {version}, and this understudy reads {FORMAT}. Use the version of understudy that wrote it, or train anew."
         )
     try:
         with opened(tensor_file, _LARGEST) as tensor_bytes:

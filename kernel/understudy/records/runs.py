@@ -145,8 +145,7 @@ class Run:
             held = False
         if not held:
             raise RunError(
-                f"{self.path} was removed or replaced while a process trained in it, so nothing more is "
-                "written there. Put the folder back and resume it, or train anew."
+                f"{self.path} was removed or replaced while a process trained in it, so nothing more is written there. Put the folder back and resume it, or train anew."
             )
 
     def unlock(self) -> None:
@@ -227,8 +226,7 @@ class Run:
                 file.write(json.dumps(row) + "\n")
         except OSError as error:
             raise RunError(
-                f"{self.metrics_file} could not be written: {error.strerror}. "
-                "The last checkpoint is intact; `understudy resume` continues from it."
+                f"{self.metrics_file} could not be written: {error.strerror}. The last checkpoint is intact; `understudy resume` continues from it."
             ) from error
 
 
@@ -259,8 +257,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         inputs = experiment.inputs.copy(path / "inputs")
     except OSError as error:
         raise RunError(
-            f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}. Give run.dir "
-            "another one."
+            f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}. Give run.dir another one."
         ) from error
     used = {(c.kind, c.name): c for c in experiment.components()}
     cited, registry = {c.plugin for c in used.values()}, experiment.registry
@@ -285,8 +282,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
 def _refuse_a_second(path: Path) -> None:
     if (path / "run.json").exists():
         raise RunError(
-            f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
-            "run.dir another folder."
+            f"{path} already holds a run. Continue it with `understudy resume {path}`, or give run.dir another folder."
         )
 
 
