@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -20,12 +21,13 @@ class StopRequest:
     They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next
     outer one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored
     where it was (``nohup``). Outside the main thread nothing happens: whoever runs us handles
-    signals.
+    signals. The outermost's `tell` hears of a first Ctrl-C that is noted.
     """
 
     at_once: bool = False
     for_good: bool = False
     received: int | None = None
+    tell: Callable[[str], None] = lambda text: None
     advice: str = "Give the same command again."  #: to who stopped us
 
     SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGHUP)
@@ -44,7 +46,7 @@ class StopRequest:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self in self._nested:
-            self._nested.pop()
+            self._nested.remove(self)  # a generator that is closed later may have come after it
             while self._previous and not self._nested:
                 number, before = self._previous.popitem()
                 signal.signal(number, signal.SIG_IGN if self.for_good else before)
@@ -67,3 +69,6 @@ def _note(number: int, frame: object = None) -> None:
         before, request.received = request.received, request.received or number
         if before is None if request.at_once else before == number == signal.SIGINT:
             raise KeyboardInterrupt(signal.Signals(number).name)
+        if frame is not None and before is None and number == signal.SIGINT:  # as it comes, once
+            text = "Stopping once this iteration is finished. A second Ctrl-C stops at once."
+            StopRequest._nested[0].tell(text)

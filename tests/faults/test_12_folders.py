@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from understudy.records import checkpoint, runs
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_report.video import write_video
+from understudy_training import workflow
 
 
 @pytest.mark.parametrize("where", ["file/run", "/proc/run"])
@@ -199,3 +201,27 @@ def test_a_folder_that_may_not_be_entered_ends_in_a_line(
     monkeypatch.setattr(os, "stat", forbidden)
     assert main(["evaluate", "/private/run"]) == 2
     assert "cannot be looked for: Permission denied." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+def test_a_pipe_or_a_device_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    """As by ``--page /dev/null``, which would be a file then, for everybody on the machine."""
+    pipe = tmp_path / "page.html"
+    os.mkfifo(pipe)
+    assert main(["export", "spacetime/walk", str(pipe), *more]) == 2
+    assert capsys.readouterr().err == f"understudy: {pipe} is there already. Name another file.\n"
+    assert pipe.is_fifo()
+
+
+def test_no_folder_for_temporary_files(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in a container whose file system is read-only: one line, whatever wanted it."""
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr("tempfile._candidate_tempdir_list", lambda: ["/proc/nowhere"])
+    monkeypatch.setattr(workflow, "train", lambda words: tempfile.mkdtemp())
+    assert main(["train", "seed=1"]) == 2
+    said = "understudy: No folder for temporary files is writable: set TMPDIR to one.\n"
+    assert capsys.readouterr().err == said

@@ -74,6 +74,7 @@ def test_a_second_ctrl_c_does_not_wait_for_a_long_iteration(
 ) -> None:
     training, done = make_training(plugins, LONG, tmp_path / "run"), []
     iterate = training.iterate
+    told: list[str] = []
 
     def long() -> Any:
         if training.progress.iteration == 2:
@@ -83,9 +84,14 @@ def test_a_second_ctrl_c_does_not_wait_for_a_long_iteration(
         return iterate()
 
     monkeypatch.setattr(training, "iterate", long)
-    with pytest.raises(PreemptedError if waits else KeyboardInterrupt):
+    with (
+        StopRequest(at_once=True, tell=told.append),  # as the command line's
+        pytest.raises(PreemptedError if waits else KeyboardInterrupt),
+    ):
         training.train()
     assert done == (["waited"] if waits else [])
+    once = "Stopping once this iteration is finished. A second Ctrl-C stops at once."
+    assert told == [once] * (numbers[0] == signal.SIGINT)
     assert training.run is not None
     training.run.unlock()
     again = resumed(plugins, tmp_path / "run")

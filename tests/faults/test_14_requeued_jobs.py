@@ -91,3 +91,20 @@ def test_rows_after_the_checkpoint_are_written_anew(plugins: Plugins, tmp_path: 
     assert [row["iteration"] for row in again.run.metrics()] == [1, 2, 3]
     again.run.append_metrics(again.iterate())
     assert [row["iteration"] for row in again.run.metrics()] == [1, 2, 3, 4]
+
+
+def test_rows_that_a_crash_cut_short_are_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    quick = [*COMMAND, "evaluation.every_samples=null", f"run.dir={run}"]
+    assert main(["train", *quick, "budget.samples=256"]) == 0
+    with (run / "metrics.jsonl").open("a") as file:
+        file.write('\n{"iteration": 3, "sam')
+    assert "damaged" not in capsys.readouterr().err
+    assert main(["resume", str(run), "budget.samples=512"]) == 0
+    said = capsys.readouterr().err
+    assert said.count(f"A row is damaged in {run / 'metrics.jsonl'} and left out.") == 1
+    assert [row["iteration"] for row in runs.open_run(run).metrics()] == [1, 2, 3, 4]
+    assert main(["resume", str(run), "budget.samples=640"]) == 0
+    assert "damaged" not in capsys.readouterr().err

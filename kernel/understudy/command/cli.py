@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from understudy import __version__
-from understudy.command.command import Command
+from understudy.command.command import Command, tell
 from understudy.errors import (
     ConfigError,
     FileError,
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if own and isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal may not have every letter
-    with StopRequest(at_once=True, for_good=own) as stop:
+    with StopRequest(at_once=True, for_good=own, tell=tell) as stop:
         try:
             status = _run(list(sys.argv[1:] if own else arguments) or ["--help"])
             if own and sys.stdout is not None:
@@ -63,6 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, OSError) and error.filename and error.errno in _UNSEEN:
                 file = str(error.filename)[:100]
                 error = FileError(f"{file} cannot be looked for: {error.strerror}.")
+            if isinstance(error, FileNotFoundError) and "temporary directory" in str(error):
+                error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
                 raise
             with contextlib.suppress(OSError):  # the terminal may have been closed
@@ -186,11 +188,10 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
 
         def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
             options.overrides = overrides
-            for path in command.writes(options):
-                if path is not None and path.is_file() and not options.overwrite:
-                    raise FileError(
-                        f"{path} is there already. Name another file, or add --overwrite."
-                    )
+            for path in filter(None, command.writes(options)):
+                if path.exists() and not (path.is_dir() or (options.overwrite and path.is_file())):
+                    how = ", or add --overwrite" if path.is_file() else ""  # no pipe, no device
+                    raise FileError(f"{path} is there already. Name another file{how}.")
             return command.run(options)
 
         parser.set_defaults(function=run, overrides_allowed=command.takes_overrides)

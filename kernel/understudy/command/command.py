@@ -16,7 +16,7 @@ __all__ = ["Command", "tell"]
 
 def tell(text: str) -> None:
     """A message to whoever runs the command."""
-    with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
+    with contextlib.suppress(OSError, RuntimeError):  # no terminal; a signal, while this prints
         print(shown(text), file=sys.stderr, flush=True)
 
 

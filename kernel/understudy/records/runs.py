@@ -57,11 +57,6 @@ def cores() -> int:
     return len(asked(0)) if asked else os.cpu_count() or 1
 
 
-def threads() -> int:
-    """Threads of torch, on whose number the last bits of large products on a CPU depend."""
-    return torch.get_num_threads()
-
-
 @functools.cache
 def versions() -> dict[str, str]:
     """Versions of Python and of the libraries that decide results, as they were when first asked for."""
@@ -217,8 +212,9 @@ class Run:
     def keep_metrics_until(self, iteration: int) -> None:
         """Drop rows after `iteration`: the resumed training writes them again."""
         self.check_held()
-        rows = [row for row in self.metrics() if _iteration(row) <= iteration]
-        write_atomically(self.metrics_file, "".join(json.dumps(r) + "\n" for r in rows).encode())
+        rows = [(row, row.get("iteration")) for row in self.metrics()]
+        kept = [row for row, at in rows if not isinstance(at, int) or at <= iteration]
+        write_atomically(self.metrics_file, "".join(json.dumps(r) + "\n" for r in kept).encode())
 
     def append_metrics(self, row: Mapping[str, Any]) -> None:
         self.check_held()
@@ -230,11 +226,6 @@ class Run:
                 f"{self.metrics_file} could not be written: {error.strerror}. "
                 "The last checkpoint is intact; `understudy resume` continues from it."
             ) from error
-
-
-def _iteration(row: Mapping[str, Any]) -> int:
-    found = row.get("iteration")
-    return found if isinstance(found, int) else 0
 
 
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
@@ -265,13 +256,14 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     used = {(c.kind, c.name): c for c in experiment.components()}
     cited, registry = {c.plugin for c in used.values()}, experiment.registry
     facts = ("kind", "name", "plugin", "distribution", "version")
+    threads = torch.get_num_threads()
     run.info = {
         "layout": LAYOUT,
         "config": experiment.effective(),
         "overrides": list(overrides),
         "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": versions(),
-        "machine": {"system": platform.platform(), "cores": cores(), "threads": threads()},
+        "machine": {"system": platform.platform(), "cores": cores(), "threads": threads},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),

@@ -16,12 +16,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from understudy import distributed
 from understudy.errors import PreemptedError, RunError, said
 from understudy.records import checkpoint
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
-from understudy.records.runs import Run, differences, threads, versions
+from understudy.records.runs import Run, differences, versions
 from understudy.running.jobs import Job, Judgement
 from understudy.setup.config import Experiment
 from understudy.signals import StopRequest, is_stop
@@ -123,7 +125,7 @@ class Training:
         run.check_held()
         path = run.checkpoints / f"{self.progress.iteration:08d}"
         meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
-        meta["threads"] = threads()
+        meta["threads"] = torch.get_num_threads()  # on which the last bits of large products depend
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
         self._saved_at = self.progress.seconds
@@ -160,9 +162,10 @@ class Training:
             self.reporter.message(f"Differs from the checkpoint: {change}")
         for change in differences(meta.get("versions"), versions()):
             self.reporter.message(f"Version differs from the checkpoint: {change}")
-        if meta.get("threads", threads()) != threads() and self.job.device.type == "cpu":
+        now = torch.get_num_threads()
+        if meta.get("threads", now) != now and self.job.device.type == "cpu":
             self.reporter.message(
-                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU "
+                f"Threads differ from the checkpoint: {meta['threads']} → {now}. On a CPU "
                 "the bits are the same only with an equal number: "
                 f"OMP_NUM_THREADS={meta['threads']}."
             )

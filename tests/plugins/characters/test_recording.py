@@ -108,7 +108,7 @@ def test_the_simulator_need_not_be_here(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     record(run)
     gone = Component("simulator", "gone", "no_such_library:Simulator", "test")
-    setup_plugins.installed().registry.add(gone)
+    setup_plugins.installed().registry.components[gone.kind, gone.name] = gone
     info = json.loads((run / "run.json").read_text())
     for name in ("gone", "unheard_of"):
         info["config"]["simulator"] = {"name": name}

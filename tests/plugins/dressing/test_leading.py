@@ -153,7 +153,8 @@ def test_the_reward_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    "search", ["shirt_sleeve_led", "shirt_sleeve_second_led", "shirt_larger_led", "shirt_sleeve_larger_led"]
+    "search",
+    ["shirt_sleeve_led", "shirt_sleeve_second_led", "shirt_larger_led", "shirt_sleeve_larger_led"],
 )
 def test_the_whole_search_composes(search: str, tmp_path: Path) -> None:
     load_experiment([f"search=dressing/{search}", f"run.dir={tmp_path}/led"])

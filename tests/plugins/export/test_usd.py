@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import resource
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -218,3 +220,22 @@ def test_a_clip_without_a_skeleton_is_refused(tmp_path: Path) -> None:
     for writer in (UsdcWriter(), GlbWriter()):
         with pytest.raises(FileError, match="no skeleton"):
             writer.write(replace(walker(), skeleton=None), tmp_path / f"a{writer.suffix}")
+
+
+@pytest.mark.parametrize("writer", WRITERS, ids=lambda w: w.suffix)
+def test_what_does_not_fit_is_said_once(tmp_path: Path, writer: UsdWriter) -> None:
+    """OpenUSD has a line for each block that it tried to write."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(FileError, match=r"cannot be written: .*File too large") as caught:
+            writer.write(walker(frames=50), tmp_path / f"clip{writer.suffix}")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def test_a_name_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="USD takes no name that is not UTF-8"):
+        UsdcWriter().write(walker(frames=5), tmp_path / os.fsdecode(b"\xff.usdc"))

@@ -7,6 +7,7 @@ import functools
 import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -312,7 +313,9 @@ def test_actions_of_numbers_and_choices(monkeypatch: pytest.MonkeyPatch) -> None
 
     task = [o for o in FAKE_TASK if "actuation" not in o]
     plugins = fake_plugins()
-    plugins.registry.add(Component("actuation", "fake/sided", Sided, "fake"))
+    plugins.registry.components["actuation", "fake/sided"] = Component(
+        "actuation", "fake/sided", Sided, "fake"
+    )
     chosen = functools.partial(load_experiment, plugins=plugins)
     monkeypatch.setattr(
         worlds, "load_experiment", lambda o: chosen([x for x in o if not x.startswith("task=")])
@@ -390,3 +393,48 @@ def test_a_copy_keeps_what_it_was_made_with() -> None:
     assert float(other.unwrapped.worlds.scale.reach[0]) == pytest.approx(0.1)
     other.reset(seed=0)
     assert other.render().shape == (16, 32, 3)
+
+
+@pytest.mark.parametrize("make", [envs.UnderstudyEnv, envs.UnderstudyVectorEnv])
+def test_nothing_happens_before_a_reset(make: Callable[..., Any]) -> None:
+    """Also without Gymnasium's wrappers, of which vector environments have none."""
+    env = make(TOY, render_mode="rgb_array", width=32, height=32)
+    for use in (lambda: env.step(idle(env)), env.render):
+        with pytest.raises(gymnasium.error.ResetNeeded, match=r"Call reset\(\) first"):
+            use()
+    env.reset(seed=0)
+    env.step(idle(env))
+    assert env.render() is not None
+    assert make(TOY).render() is None
+
+
+@pytest.mark.parametrize(
+    "wrong", [None, [None, None], "ab", ["a", "b"], [0.0, 1j], [[0.0], [0.0, 1.0]]], ids=repr
+)
+def test_actions_that_are_no_numbers_are_refused(wrong: Any) -> None:
+    """None would be not a number, and the world fail by it."""
+    one, three = gymnasium.make(TOY, disable_env_checker=True).unwrapped, many()
+    for env in (one, three):
+        env.reset(seed=0)
+        with pytest.raises(ConfigError, match="An action is made of numbers"):
+            env.step(wrong)
+
+
+@pytest.mark.parametrize("size", [0, -3, 10.5, "a", 100_000, None])
+def test_pictures_of_no_possible_size_are_refused(size: Any) -> None:
+    with pytest.raises(ConfigError, match=r"height=.* is not possible: give a whole number from 1"):
+        gymnasium.make(TOY, render_mode="rgb_array", height=size)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"overrides": None}, "must be a list of texts"),
+        ({"overrides": [3]}, "must be a list of texts"),
+        ({"action_scale": "a"}, "action_scale=a is not possible"),
+        ({"action_scale": [1, "a"]}, "is not possible"),
+    ],
+)
+def test_settings_of_other_types_are_refused(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        gymnasium.make_vec(TOY, num_envs=2, **settings)

@@ -1,7 +1,8 @@
-"""``understudy render`` where its folder cannot be written."""
+"""``understudy render`` and ``evaluate`` where the run's folder cannot be written."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import miniatures
@@ -9,6 +10,7 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import RunError
+from understudy.records.runs import Run
 from understudy_judging import commands
 
 
@@ -26,3 +28,21 @@ def test_nothing_is_left_of_what_could_not_be_written(
     assert main(["render", f"{tmp_path}/run", "seconds=1"]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_result_that_cannot_be_kept_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a run of somebody else's, whose folder may only be read."""
+    words = "experiment=miniature/go", "budget.samples=256", *miniatures.QUICK
+    miniatures.train(*words, f"run.dir={tmp_path}/run", "run.video_seconds=0")
+
+    def fails(self: Run, name: str, value: object) -> None:
+        raise RunError(f"{self.path / name} could not be written: Read-only file system.")
+
+    monkeypatch.setattr(Run, "write_json", fails)
+    capsys.readouterr()
+    assert main(["evaluate", f"{tmp_path}/run", "episodes=2"]) == 2
+    said = capsys.readouterr()
+    assert json.loads(said.out)["episodes"] == 2
+    assert "Read-only file system" in said.err

@@ -869,7 +869,7 @@ class FakeReader(ClipReader):
 
 def registry(reader: type[ClipReader] = FakeReader) -> Registry:
     registry = Registry()
-    registry.add(Component("clip_reader", "only", reader, "tests"))
+    registry.components["clip_reader", "only"] = Component("clip_reader", "only", reader, "tests")
     return registry
 
 

@@ -30,7 +30,7 @@ def step() -> Clip:
 def registry() -> Registry:
     registry = Registry()
     Registrar(registry, "motion").tables(understudy_motion)
-    registry.add(Component("clip", "walk", step, "test"))
+    registry.components["clip", "walk"] = Component("clip", "walk", step, "test")
     return registry
 
 
@@ -54,7 +54,7 @@ def leaning() -> Clip:
 
 
 def test_a_clip_that_does_not_close_is_led_into_its_beginning(registry: Registry) -> None:
-    registry.add(Component("clip", "lean", leaning, "test"))
+    registry.components["clip", "lean"] = Component("clip", "lean", leaning, "test")
     open_, closed = (
         Motion(MotionOptions(name="lean", close_loop=s), registry, Inputs()).clip
         for s in (None, 0.1)

@@ -89,6 +89,38 @@ def test_encoder_that_gives_up(
     folder.mkdir()
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(encoder))
     with pytest.raises(RunError) as caught:
-        write_video(folder / "video.mp4", frames(100, (480, 640)), 30)
+        write_video(folder / "video.mp4", frames(12, (480, 640)), 30)
     assert reason in str(caught.value)
     assert not list(folder.iterdir())
+
+
+def test_no_folder_for_temporary_files_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a container where only the run's folder can be written."""
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr("tempfile._candidate_tempdir_list", lambda: ["/proc/nowhere"])
+    write_video(tmp_path / "video.mp4", frames(), 30)
+    assert (tmp_path / "video.mp4").stat().st_size > 0
+
+
+@pytest.mark.parametrize("folder", ["a:b", "http:", "-x", "50%d"])
+def test_folders_whose_names_mean_something_to_ffmpeg(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(folder).mkdir()
+    write_video(Path(folder) / "video.mp4", frames(), 30)
+    assert [str(p) for p in Path(folder).iterdir()] == [f"{folder}/video.mp4"]
+
+
+def test_many_messages_do_not_stop_the_encoder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More than fits in a pipe, before it has taken a frame."""
+    script = tmp_path / "ffmpeg"
+    script.write_text("#!/bin/sh\nseq 100000 >&2\ncat > /dev/null\necho last words >&2\nexit 1\n")
+    script.chmod(0o755)
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(script))
+    with pytest.raises(RunError, match="ffmpeg says 'last words'"):
+        write_video(tmp_path / "video.mp4", frames(12, (480, 640)), 30)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -238,12 +239,14 @@ def test_killed_at_any_point(killed: Path, monkeypatch: pytest.MonkeyPatch, afte
         assert iterations(folder, key) == [1, 2, 3]
 
 
-def test_a_row_cut_short_is_left_out(tmp_path: Path) -> None:
+def test_a_row_cut_short_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sweep(tmp_path, TWO)
     file = tmp_path / "journal.jsonl"
     text = file.read_text()
     file.write_text(text[: -len(text.splitlines()[-1]) // 2])
+    assert "damaged" not in capsys.readouterr().err
     sweep(tmp_path, TWO)
+    assert f"A row is damaged in {file} and left out" in capsys.readouterr().err
     assert events(tmp_path) == WHOLE
 
 
@@ -260,6 +263,7 @@ def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.Monke
         patch.setattr(Journal, "tell", interrupted)
         with pytest.raises(Killed):
             sweep(tmp_path)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler, "none still waits for it"
     iterate, again = Training.iterate, []
 
     def counted(self: Training) -> dict[str, Any]:

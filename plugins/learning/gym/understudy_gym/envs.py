@@ -81,8 +81,9 @@ class UnderstudyEnv(gymnasium.Env):
         return self._observed(self.worlds.environment.reset(seed)), {}
 
     def step(self, action: Any):
-        batch = {k: np.asarray(v)[None] for k, v in action.items()} if isinstance(action, Mapping) \
-            else np.asarray(action)[None]  # fmt: skip
+        _check_begun(self._seeded)
+        one = isinstance(action, Mapping)
+        batch = {k: _row(v) for k, v in action.items()} if one else _row(action)
         step = self.worlds.advance(columns(self.worlds.space, batch, 1, self.worlds.device))
         rewards, ended = self.worlds.account(step)
         info: dict[str, Any] = {"rewards": {n: float(value[0]) for n, value in rewards.items()}}
@@ -101,6 +102,7 @@ class UnderstudyEnv(gymnasium.Env):
 
     def render(self) -> Any:
         """(height, width, 3) uint8, or None without a render mode."""
+        _check_begun(self._seeded or self.render_mode is None)
         pictures = self.worlds.pictures()
         return pictures[0] if pictures else None
 
@@ -193,6 +195,7 @@ class UnderstudyVectorEnv(VectorEnv):
         return _arrays(self.worlds.environment.begin(worlds), self._flat)
 
     def step(self, actions: Any):
+        _check_begun(self._seeded)
         batch = columns(self.worlds.space, actions, self.num_envs, self.worlds.device)
         if self._mode is AutoresetMode.SAME_STEP:
             step = self.worlds.step(batch)
@@ -257,10 +260,22 @@ class UnderstudyVectorEnv(VectorEnv):
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """One picture a world, (height, width, 3) uint8, or None without a render mode."""
+        _check_begun(self._seeded or self.render_mode is None)
         return self.worlds.pictures()
 
     def close_extras(self, **kwargs: Any) -> None:
         self.worlds.environment.close()
+
+
+def _row(action: Any) -> Any:
+    """A batch of one world; rows of several lengths, which no array has, are refused later."""
+    return [action] if isinstance(action, list | tuple) else np.asarray(action)[None]
+
+
+def _check_begun(begun: bool) -> None:
+    """Gymnasium's error where nothing has begun, as its wrappers raise it where there are some."""
+    if not begun:
+        raise gymnasium.error.ResetNeeded("The worlds have not begun. Call reset() first.")
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:

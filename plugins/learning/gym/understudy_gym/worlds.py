@@ -24,6 +24,7 @@ __all__ = ["Worlds", "flattened"]
 Actions = Literal["scaled", "raw"]
 #: What ``render`` can give.
 RENDER_MODES = ("rgb_array",)
+_LARGEST = 8192  #: pixels of a picture's side
 
 
 class ActionScale:
@@ -63,9 +64,13 @@ class ActionScale:
             elif part.around is not None:
                 self._around[columns] = torch.tensor(part.around, device=environment.device)
         if reach is not None:
-            given = torch.as_tensor(reach, dtype=torch.float32, device=environment.device)
+            try:
+                given = torch.as_tensor(reach, dtype=torch.float32, device=environment.device)
+            except (TypeError, ValueError):
+                given = None
             if (
-                given.dim() > 1
+                given is None
+                or given.dim() > 1
                 or given.numel() not in (1, space.size)
                 or not bool((given > 0).all())
             ):
@@ -141,8 +146,15 @@ class Worlds:
             raise ConfigError(
                 f"render_mode={render_mode!r} is not possible: there is {', '.join(RENDER_MODES)}."
             )
+        for name, size in {"width": width, "height": height}.items():
+            if not isinstance(size, int) or not 1 <= size <= _LARGEST:
+                raise ConfigError(
+                    f"{name}={size!r} is not possible: give a whole number from 1 to {_LARGEST}."
+                )
         if isinstance(overrides, str):
             raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
+        if not isinstance(overrides, Sequence) or not all(isinstance(o, str) for o in overrides):
+            raise ConfigError(f"overrides={overrides!r} must be a list of texts: ['KEY=VALUE'].")
         self._made_with = (task, num_worlds, tuple(overrides)), {
             "actions": actions, "action_scale": action_scale, "render_mode": render_mode,
             "width": width, "height": height,
@@ -316,20 +328,38 @@ def columns(space: ActionSpace, actions: Any, worlds: int, device: torch.device)
     Raises
     ------
     ConfigError
-        they are of another shape than `worlds` and the space say, or lack a part.
+        they are no numbers, of another shape than `worlds` and the space say, or lack a part.
     """
     if isinstance(actions, Mapping):
         if missing := [name for name in space.parts if name not in actions]:
             raise ConfigError(f"An action needs {', '.join(map(repr, missing))}, too.")
-        parts = [np.asarray(actions[name]) for name in space.parts]
-        actions = np.concatenate([p.reshape(len(p), -1).astype(np.float32) for p in parts], axis=1)
-    found = np.asarray(actions, dtype=np.float32)
+        parts = [_numbers(actions[name]) for name in space.parts]
+        actions = np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1)
+    found = _numbers(actions)
     if found.shape != (worlds, space.size):
         raise ConfigError(
             f"Actions of shape {found.shape} do not fit: {(worlds, space.size)} is needed, a row for each of "
             f"{worlds} worlds."
         )
     return torch.as_tensor(found).to(device)
+
+
+def _numbers(actions: Any) -> np.ndarray:
+    """As float32, in which what is too large is infinite.
+
+    Raises
+    ------
+    ConfigError
+        they are something else: None, texts, complex numbers, rows of several lengths.
+    """
+    try:
+        found = np.asarray(actions)
+    except ValueError:  # rows of several lengths
+        found = np.asarray(None)
+    if found.dtype.kind not in "biuf":
+        raise ConfigError(f"An action is made of numbers: {actions!r} is not possible.")
+    with np.errstate(over="ignore"):
+        return found.astype(np.float32)
 
 
 def check_reset(seed: Any, options: Mapping[str, Any] | None, known: Sequence[str] = ()) -> None:

@@ -80,8 +80,10 @@ class Evaluate(Command):
             result["half_step"] = compared(evaluation, *finer)
         name = _name(words, chosen)
         file = f"evaluation-{name}.json" if name else "evaluation.json"
-        run.write_json(file, result)
-        print(json.dumps(result, indent=1))
+        try:
+            run.write_json(file, result)
+        finally:  # also where the folder is somebody else's, or the disk is full
+            print(json.dumps(result, indent=1))
         tell(f"Written to {run.path / file}." + (_KEPT if name else ""))
         if not name:
             reporter.observers = observers()

@@ -12,6 +12,7 @@ import torch
 from understudy import distributed
 from understudy.command.command import tell
 from understudy.errors import RunError
+from understudy.folders import opened
 from understudy.options import at
 from understudy.records import runs
 from understudy.records.runs import Run
@@ -68,6 +69,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     with _together(experiment):
         if leading:
             run.lock()
+            _tell_of_damaged_rows(run)
         reporter = Reporter(message=tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
@@ -89,6 +91,17 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
         run.write_json("run.json", run.info)
     return _carry_out(training)
+
+
+def _tell_of_damaged_rows(run: Run) -> None:
+    """Say how many rows of the metrics a crash, or a full disk, cut short: resuming leaves them out."""
+    whole = len(run.metrics())  # also sees to it that it is a file, and of what size
+    if run.metrics_file.exists():
+        with opened(run.metrics_file, 2**34) as file:
+            damaged = sum(bool(line.strip()) for line in file) - whole
+        if damaged > 0:
+            what = "A row is" if damaged == 1 else f"{damaged} rows are"
+            tell(f"{what} damaged in {run.metrics_file} and left out.")
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from understudy.command.command import tell
 from understudy.errors import ConfigError, RunError
 from understudy.folders import read
 from understudy.records.checkpoint import sync, write_atomically
@@ -38,8 +39,12 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path) -> Journal:
-        """The journal at `path`; a row cut short by a crash is left out."""
+        """The journal at `path`; a row cut short by a crash is left out, and that is said."""
         journal = cls.read(path)
+        damaged = len(read(path, _MOST).splitlines()) - len(journal.events) if path.exists() else 0
+        if damaged:
+            what = "A row is" if damaged == 1 else f"{damaged} rows are"
+            tell(f"{what} damaged in {path} and left out: what such a row told of is done again.")
         rows = "".join(_row(event) for event in journal.events).encode()
         if not path.exists() or read(path, _MOST) != rows:
             write_atomically(path, rows)

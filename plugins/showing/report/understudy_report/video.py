@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import subprocess
-import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 
@@ -59,31 +59,36 @@ def _encode(
     command += ["-i", "-", "-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
     # Frames are often drawn on the same cores, and are few: a quick encoding is small enough.
     command += ["-c:v", "libx264", "-preset", "veryfast"]
-    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path)]
-    # A file and not a pipe takes the messages: nobody reads them while frames are written.
-    with tempfile.TemporaryFile() as messages:
-        try:
-            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=messages)
-        except OSError as error:
-            return f"ffmpeg cannot be started ({error.strerror})"
-        assert encoder.stdin is not None
-        try:
-            for frame in frames:
-                if frame.shape != shape or frame.dtype != np.uint8:
-                    raise ValueError(f"a frame is {frame.dtype} {frame.shape}, not uint8 {shape}")
-                try:
-                    encoder.stdin.write(np.ascontiguousarray(frame).data)
-                except BrokenPipeError:
-                    break
-        except BaseException:
-            encoder.kill()
-            raise
-        finally:
-            with suppress(BrokenPipeError):  # it has given up; its messages say why
-                encoder.stdin.close()
-            status = encoder.wait()
-        messages.seek(0)
-        text = messages.read().decode(errors="replace")
+    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
+    command += [f"file:{path}"]  # else what stands before a colon would be a protocol
+    try:
+        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    except OSError as error:
+        return f"ffmpeg cannot be started ({error.strerror})"
+    assert encoder.stdin is not None
+    assert encoder.stderr is not None
+    # Messages are read while frames are written, or it would wait; into no file, for which there may be no place.
+    messages: list[bytes] = []
+    listener = Thread(target=messages.extend, args=(encoder.stderr,), daemon=True)
+    listener.start()
+    try:
+        for frame in frames:
+            if frame.shape != shape or frame.dtype != np.uint8:
+                raise ValueError(f"a frame is {frame.dtype} {frame.shape}, not uint8 {shape}")
+            try:
+                encoder.stdin.write(np.ascontiguousarray(frame).data)
+            except BrokenPipeError:
+                break
+    except BaseException:
+        encoder.kill()
+        raise
+    finally:
+        with suppress(BrokenPipeError):  # it has given up; its messages say why
+            encoder.stdin.close()
+        status = encoder.wait()
+        listener.join()
+        encoder.stderr.close()
+    text = b"".join(messages).decode(errors="replace")
     if status == 0:
         return None
     if "No space left" in text:

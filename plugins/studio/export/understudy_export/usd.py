@@ -6,13 +6,14 @@ facing x. The animation's values are float32; a time code is a frame.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from understudy.errors import FileError
+from understudy.errors import FileError, said
 from understudy_export.figure import Figure, Surface, figure, notice, origin, printable
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.writing import ClipWriter, Shape
@@ -112,8 +113,11 @@ def save(stage: Usd.Stage, what: str, path: Path) -> None:
 
     try:
         stage.GetRootLayer().Export(str(path))
-    except Tf.ErrorException as error:
-        raise FileError(f"{what}: cannot be written: {error}.") from error
+    except Tf.ErrorException as error:  # one for each block that it tried to write
+        reasons = re.findall(r" : '(.*)'$", str(error), re.MULTILINE) or [said(error)]
+        raise FileError(f"{what}: cannot be written: {reasons[0]}.") from error
+    except UnicodeEncodeError as error:
+        raise FileError(f"{what}: USD takes no name that is not UTF-8. Choose another.") from error
 
 
 def add_mesh(
