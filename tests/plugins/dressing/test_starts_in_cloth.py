@@ -145,3 +145,18 @@ def test_cloth_that_begins_in_the_person_is_refused(
     assert "the cloth begins" in error
     assert "cm inside the person: move low and high away from it." in error
     assert not run.exists(), "before anything is written"
+
+
+def test_a_shirt_whose_sleeve_the_arm_would_begin_through_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the mouth of a longer sleeve the elbow of the packaged pose is through the cloth before anyone has moved."""
+    words = ["experiment=dressing/shirt_sleeve", "+garment=larger_shirt", "initial_states.worn=in_sleeve"]  # fmt: skip
+    words += ["device=cpu", "num_worlds=1", "budget.samples=1", "evaluation.final_episodes=1"]
+    words += ["simulators.person.name=mujoco", f"run.dir={tmp_path}/run"]
+    assert main(["train", *words]) == 2
+    said = capsys.readouterr().err
+    assert "worn in_sleeve" in said
+    assert "left arm" in said
+    assert "initial_states.worn" in said
+    assert not (tmp_path / "run").exists()

@@ -25,7 +25,7 @@ from understudy.setup.building import build_sections, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State
 from understudy_cloth.mesh import face_areas
-from understudy_dressing.person import Side, limb
+from understudy_dressing.person import Side
 from understudy_dressing.shirt import (
     _BACK_AT,
     _BEYOND_AT,
@@ -37,7 +37,7 @@ from understudy_dressing.shirt import (
     Moves,
     ShirtScene,
 )
-from understudy_dressing.state import centre_and_normal, pierces, progress
+from understudy_dressing.state import centre_and_normal, progress
 from understudy_skills import bank
 from understudy_skills.gathered import Gathered, Gathering
 
@@ -82,21 +82,13 @@ class Led(Moves):
         ranges = self._body.jnt_range[self._free]
         self._low, self._high = (np.where(limited, ranges[:, k], s * 2.2) for k, s in enumerate((-1, 1)))  # fmt: skip
 
-    def bones(self) -> np.ndarray:
-        """(6, 3) m, as :func:`limb`."""
-        return np.array([
-            self._data.body(name).xpos + self._data.body(name).xmat.reshape(3, 3) @ np.array(at)
-            for name, at in limb(self._side)
-        ])  # fmt: skip
-
     def place(self, phase: int) -> Place:
         pose, x = self.found()
-        self._place(pose)
-        bones, cloth = torch.tensor(self.bones())[None], torch.tensor(x)[None]
+        through = self.through(self._side)
+        bones, cloth = torch.tensor(self.bones(self._side))[None], torch.tensor(x)[None]
         ratio = (face_areas(x[self._shirt.faces]) / face_areas(self._shirt.corners)).max()
-        through = pierces(bones, cloth[:, torch.tensor(self._shirt.faces)])
         inside = progress(bones, cloth[:, self._entrance])[1]
-        return Place(phase, pose.copy(), x, float(inside), float(ratio), bool(through))
+        return Place(phase, pose.copy(), x, float(inside), float(ratio), through)
 
     def lower(self, share: float, begin: np.ndarray, end: np.ndarray) -> None:
         """Trunk and the arm that holds go by a `share` of the way from those of the pose `begin` to those of `end`, (22,) rad."""
@@ -115,7 +107,7 @@ class Led(Moves):
         """Fingertip and elbow go on by a step of `speed`, m, the elbow of the left arm, or its mirror image, to the place `to`, m."""
         pose, x = self.found()
         self._place(pose)
-        bones = self.bones()
+        bones = self.bones(self._side)
         cloth = torch.tensor(x[self._entrance])[None]
         centre, normal = (one[0].numpy() for one in centre_and_normal(cloth))
         inside = float(progress(torch.tensor(bones)[None], cloth)[1]) > 0
@@ -126,7 +118,7 @@ class Led(Moves):
         def off(hinges: np.ndarray) -> np.ndarray:
             pose[self._free] = hinges
             self._place(pose)
-            at = self.bones()
+            at = self.bones(self._side)
             mujoco.mj_collision(self._body, self._data)
             near = sum(np.maximum(0.0, _APART - self._data.contact.dist).tolist())
             return np.concatenate([at[0] - tip, _WEIGHT * (at[3] - elbow), 0.03 * (hinges - begin), [3.0 * near]])  # fmt: skip
@@ -222,8 +214,6 @@ class Lead(Gathering):
         rows = np.linspace(0, len(states["qpos"]) - 1, self.options.count).round().astype(int)
         self._states = {name: states[name][np.unique(rows)] for name in STATE}
         self._gathered = Gathered(len(self._states["qpos"]))
-        side = self.options.side
-        self._lowered = self._shirt.settled("in_sleeve", side, other_dressed=side == "right")[0]
 
     def iterate(self, samples: int) -> dict[str, Any]:
         row = self._gathered.count
@@ -278,8 +268,10 @@ class Lead(Gathering):
                 if not gone(who, place, -1 if (hand, place) in under else 0):
                     return places, way
         else:
+            mine = options.side
+            lowered = self._shirt.settled("in_sleeve", mine, other_dressed=mine == "right")[0]
             for k in steps(options.lowers):
-                arm.lower(k / len(steps(options.lowers)), pose, self._lowered)
+                arm.lower(k / len(steps(options.lowers)), pose, lowered)
                 if through(0):
                     return places, way
         for _ in steps(options.most):

@@ -27,10 +27,12 @@ from understudy_dressing.person import (
     PersonScene,
     Side,
     depth_in,
+    limb,
     neutral_pose,
     tool_bodies,
     tools,
 )
+from understudy_dressing.state import pierces
 from understudy_tensors import rotations
 
 #: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it; and raised until
@@ -155,7 +157,7 @@ class ShirtScene(CutGarment):
         Raises
         ------
         ConfigError
-            if the cloth flies apart.
+            if the cloth flies apart, or an arm goes through it in the end.
         """
         return _settled(type(self), self.options, worn, side, arm, other_dressed)
 
@@ -209,6 +211,12 @@ def _settled(
     if worn != "on_shoulders":
         moves.hold(_HANGS, closed)
     found = moves.found()
+    for name in HOLDERS:
+        if moves.through(name):
+            raise ConfigError(
+                f"A shirt of these sizes cannot be worn {worn}: the {name} arm goes through its cloth. Choose other sizes "
+                "of scenes.cloth, more of its substeps, or begin elsewhere (initial_states.worn)."
+            )
     for array in found:
         array.setflags(write=False)
     return found
@@ -267,6 +275,20 @@ class Moves:
         """(3,) m: the middle of a patch of the hem."""
         x = self._cloth.read("cloth_position")[0].double().numpy()
         return x[self._garment.patches[f"{side}_hem"]].mean(axis=0)
+
+    def bones(self, side: Side) -> np.ndarray:
+        """(6, 3) m, as :func:`limb`, of the arm of `side`."""
+        return np.array([
+            self._data.body(name).xpos + self._data.body(name).xmat.reshape(3, 3) @ np.array(at)
+            for name, at in limb(side)
+        ])  # fmt: skip
+
+    def through(self, side: Side) -> bool:
+        """Whether that arm goes through the cloth."""
+        pose, x = self.found()
+        self._place(pose)
+        faces = torch.tensor(x[self._garment.faces])
+        return bool(pierces(torch.tensor(self.bones(side))[None], faces[None]))
 
     def _arm(self, side: Side) -> list[int]:
         """Numbers of that arm's hinges, from the clavicle on."""

@@ -77,7 +77,7 @@ def context_of(run: Run) -> Context:
     context = Context(
         0, torch.device("cpu"), 1,
         control_dt=1.0 / control.frequency, substeps=control.substeps,
-        sections={"motion": experiment.registry.sections["motion"].make(
+        sections={"motion": experiment.registry.sections["motion"].build.factory(
             experiment.sections["motion"], experiment.registry, experiment.inputs)},
         registry=experiment.registry, inputs=experiment.inputs,
     )  # fmt: skip
