@@ -29,7 +29,7 @@ def registry(**clips: Any) -> Registry:
     made = Registry()
     Registrar(made, "motion").tables(understudy_motion)
     for name, target in clips.items():
-        made.add(Component("clip", name, target, "tests"))
+        made.components["clip", name] = Component("clip", name, target, "tests")
     return made
 
 
