@@ -21,6 +21,7 @@ NEED = {
     "experiment=dressing/gown_gripper": "actuation.run",
     "experiment=dressing/gripper": "actuation.run",
     "experiment=dressing/shirt_sleeve_led": "initial_states.file",
+    "experiment=dressing/shirt_sleeve_larger_led": "initial_states.file",
     "experiment=dressing/shirt_sleeve_second_led": "initial_states.file",
     "experiment=dressing/shirt_tuck_led": "initial_states.file",
     "experiment=miniature/dressing": "initial_states.file",
