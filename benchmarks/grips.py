@@ -225,13 +225,16 @@ def main() -> None:
         print(line, end="")
         return
     if given.searched is not None:
-        found = []
+        known = SEARCHED.read_text().splitlines() if given.only and SEARCHED.exists() else []
+        rows = {r["grip"]: r for r in map(json.loads, known)}
         for path in sorted(given.searched.glob("*.json")):
+            if given.only and path.stem not in given.only:
+                continue
             deep, links = overlap(load_grip(path))
             more = {"still": still(path), "overlap": deep, "overlapping": links}
-            found.append({**row(path.stem, path), **more})
-            print(json.dumps(found[-1]), flush=True)
-        lines = [json.dumps(one) + "\n" for one in found]
+            rows[path.stem] = {**row(path.stem, path), **more}
+            print(json.dumps(rows[path.stem]), flush=True)
+        lines = [json.dumps(rows[name]) + "\n" for name in sorted(rows)]
         SEARCHED.write_text("".join(lines), encoding="utf-8")
         return
     if given.touching:
