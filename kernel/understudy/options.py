@@ -292,8 +292,7 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults;
-    unknown and missing ones are errors."""
+    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

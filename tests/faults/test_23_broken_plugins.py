@@ -531,6 +531,8 @@ GO = (
     "experiment=miniature/go",
     "budget.samples=200",
     "evaluation.criterion=null",
+    "evaluation.final_episodes=4",
+    "evaluation.seconds=0.2",
     "run.video_seconds=0",
 )
 

@@ -737,6 +737,20 @@ MUTANTS = (
         "tests/kernel/setup/test_option_files.py -k changes",
     ),
     Mutant(
+        "what was merged of files that changed is merged anew",
+        f"{KERNEL}/setup/option_files.py",
+        "if not config or any(files._state(name) != state for name, state in states.items()):",
+        "if not config:",
+        "tests/kernel/setup/test_option_files.py -k composed_anew",
+    ),
+    Mutant(
+        "what was merged is not what is handed out",
+        f"{KERNEL}/setup/option_files.py",
+        "copy.deepcopy(config)",
+        "config",
+        "tests/kernel/setup/test_option_files.py -k composed_anew",
+    ),
+    Mutant(
         "a composition changes no file of options that is kept",
         f"{KERNEL}/setup/option_files.py",
         "copy.deepcopy(found[0])",

@@ -45,13 +45,13 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     try:
         yield
     except (HydraException, OmegaConfBaseException, ValueError, RecursionError) as error:
-        text = _plain(error, plugins, overrides)
-        raise ConfigError(text + plugins.registry.absent()) from error
+        raise ConfigError(_plain(error, plugins, overrides) + plugins.registry.absent()) from error
 
 
 #: ``[1] walk.bvh``: more than a list, a mapping or a quotation.
 _MORE = r"""(\[[^\[\]]*\]|\{[^{}]*\}|'[^']*'|"[^"]*")[^\s,'"\]}][^,]*|(\[[^\[\]]*\]|\{[^{}]*\})\s[^,:]*"""
 _LONGEST = 10_000  #: characters of an override
+_LONGEST_KEY = 255  #: bytes, as of a file's name
 _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
@@ -120,10 +120,6 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
     return result + ended()
 
 
-#: Bytes; the longest name of a file.
-_LONGEST_KEY = 255
-
-
 def _check(override: str, plugins: Plugins) -> None:
     """Raise :class:`ConfigError` for what is no single assignment."""
     if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
@@ -146,8 +142,7 @@ def _check(override: str, plugins: Plugins) -> None:
     except (HydraException, RecursionError) as error:
         raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
     group = read.key_or_group
-    names_file = not _is_value(group, plugins) and ("/" in group or "." not in group)
-    if names_file:
+    if not _is_value(group, plugins) and ("/" in group or "." not in group):  # it names a file
         names = chosen if isinstance(chosen, list) else [chosen]
         if any(map(_leads_out, (group, *names))):
             raise ConfigError(
@@ -186,8 +181,7 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
-    lines = str(error).replace(MARK, "").splitlines()
-    text = next((line.strip() for line in lines if line.strip()), "")
+    text = next(iter(str(error).replace(MARK, "").strip().splitlines()), "").rstrip()
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:
         return _not_set(unset[1], overrides, plugins)

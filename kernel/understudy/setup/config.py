@@ -16,7 +16,6 @@ from understudy.setup.root import Root
 
 __all__ = ["Chosen", "Experiment"]
 
-
 #: What a run iterates whose configuration names no job.
 USUAL_JOB = "reinforcement"
 

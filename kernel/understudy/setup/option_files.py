@@ -22,7 +22,7 @@ from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
-from hydra._internal.defaults_list import DefaultsList, create_defaults_list
+from hydra._internal.defaults_list import DefaultsList, Overrides, create_defaults_list
 from hydra.core.default_element import ResultDefault
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -39,6 +39,8 @@ __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 State = tuple[str, int, int, int]
 #: What was read: which files a file builds on, and what else it says.
 _read: dict[State, tuple[ConfigResult, dict[str, Any]]] = {}
+#: What was merged, by folders, overrides that choose files and groups of their own: the files that were asked for, and it.
+_merged: dict[tuple[str | None, ...], tuple[dict[str, State | None], DictConfig]] = {}
 #: Stands before a number in a word of the command line, whose text is to be kept beside its value.
 MARK = "\ue000"
 
@@ -66,6 +68,7 @@ class OptionFiles(ConfigRepository):
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
+        self.states: dict[str, State | None] = {}  #: by name, of all files that were asked for
 
     def group_exists(self, config_path: str) -> bool:
         return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
@@ -82,19 +85,17 @@ class OptionFiles(ConfigRepository):
         return content
 
     def _found(self, config_path: str) -> tuple[ConfigResult, dict[str, Any]] | None:
-        state = self._state(config_path)
+        state = self.states[config_path] = self.states.get(config_path) or self._state(config_path)
         if state and state not in _read:
             text = Path(state[0]).read_text(encoding="utf-8")
             content = _Loader(text).get_single_data() or {}
             if not isinstance(content, dict):
                 raise ConfigError(f"{state[0]} is no mapping of keys to values. Write KEY: VALUE.")
             chosen = OmegaConf.create({"defaults": plain(content.pop("defaults", []))})
+            named = self._extract_defaults_list(config_path, chosen)
+            defaults = self._create_defaults_list(config_path, named)
             header = ConfigSource._get_header_dict(text[:512])
-            found = ConfigResult("understudy", state[0], chosen, header)
-            found.is_schema_source = True  # for which Hydra seeks no schema
-            defaults = self._extract_defaults_list(config_path, chosen)
-            found.defaults_list = self._create_defaults_list(config_path, defaults)
-            _read[state] = (found, content)
+            _read[state] = ConfigResult("understudy", state[0], chosen, header, defaults), content
         return _read[state] if state else None
 
     def _state(self, config_path: str) -> State | None:
@@ -126,14 +127,21 @@ def compose(
     names (``policy={name: …}``) takes the place of what stands there, which Hydra would merge.
     """
     files = OptionFiles(folders)
-    chosen = choices(files, overrides)
-    content: dict[str, Any] = {}
-    for default in chosen.defaults:
-        others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
-        said = files.content(default)
-        content = _merged(content, {k: v for k, v in said.items() if k not in others})
-    config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
-    for override in chosen.config_overrides:
+    read = [parsed(override) for override in overrides]
+    values = Overrides(files, read).config_overrides
+    chosen = (o.input_line for o in read if o not in values)
+    key = (*(s.path for s in files.sources), None, *chosen, None, *sorted(own))
+    states, config = _merged.get(key, ({}, None))
+    if not config or any(files._state(name) != state for name, state in states.items()):
+        content: dict[str, Any] = {}
+        for default in choices(files, overrides).defaults:
+            others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
+            said = files.content(default)
+            content = _laid(content, {k: v for k, v in said.items() if k not in others})
+        config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
+        _merged[key] = files.states, config
+    config = copy.deepcopy(config)
+    for override in values:
         value = each(override.value(), _number)
         if isinstance(value, Mapping) and "name" in value and not override.is_delete():
             OmegaConf.update(config, override.key_or_group, {}, merge=False, force_add=True)
@@ -142,11 +150,11 @@ def compose(
     return config
 
 
-def _merged(old: Any, new: Any) -> Any:
+def _laid(old: Any, new: Any) -> Any:
     """`new` laid over `old`: mappings are merged, and all else is replaced."""
     if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
         return new
-    return {**old, **{key: _merged(old.get(key), item) for key, item in new.items()}}
+    return {**old, **{key: _laid(old.get(key), item) for key, item in new.items()}}
 
 
 def _number(value: Any) -> Any:

@@ -81,7 +81,6 @@ TABLES: dict[str, str] = {
     "CITATIONS": '{"key": "how to cite it"}',
 }
 
-
 #: Keys of a configuration that are neither slot nor section.
 KERNEL_KEYS = {
     key: Entry(key, "") for key in KEYS | {"ablation", "defaults", "experiment", "hydra", "search"}

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -75,6 +76,28 @@ def test_large_tensors_that_are_mostly_alike_become_small(tmp_path: Path) -> Non
     assert sizes["lengths"] < 0.4 * state["lengths"].nbytes
     for name in ("flags", "noise", "few"):
         assert sizes[name] == state[name].nbytes, "not worth it"
+
+
+def test_an_eighth_says_what_is_not_worth_deflating(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Networks take no time for it, and lists of which half is unused are deflated."""
+    deflated, compress = [], zlib.compress
+
+    def counted(data: memoryview, level: int) -> bytes:
+        deflated.append(data.nbytes)
+        return compress(data, level)
+
+    monkeypatch.setattr(zlib, "compress", counted)
+    weights = torch.randn(2**20, generator=torch.Generator().manual_seed(0))
+    lists = torch.cat((weights[: 2**19], torch.zeros(2**19)))
+    for name, value in (("weights", weights), ("lists", lists), ("back", lists.flip(0))):
+        checkpoint.save(tmp_path / name, {"x": value}, {})
+        assert torch.equal(checkpoint.load(tmp_path / name)[0]["x"], value)
+    assert deflated[:2] == [weights.nbytes // 8, lists.nbytes // 8]
+    assert (tmp_path / "weights.safetensors").stat().st_size > weights.nbytes
+    for name in ("lists", "back"):
+        assert (tmp_path / f"{name}.safetensors").stat().st_size < 0.6 * lists.nbytes
 
 
 def test_newest_and_prune(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from hydra.core.default_element import ResultDefault
 from omegaconf import OmegaConf
 
 from understudy.options import plain
+from understudy.setup import option_files
 from understudy.setup.composition import compose_raw
 from understudy.setup.option_files import OptionFiles, compose, parsed
 from understudy.setup.plugins import Plugins
@@ -100,6 +101,34 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
     (tmp_path / "first" / "other").mkdir()
     (tmp_path / "first" / "other" / "c.yaml").write_text("z: 1\n")
     assert compose(folders, ["+other=c"]).other == {"z": 1}
+
+
+def test_groups_of_their_own_are_merged_apart(tmp_path: Path) -> None:
+    (tmp_path / "part").mkdir()
+    (tmp_path / "config.yaml").write_text("defaults: [part: a, _self_]\npart: {y: 2}\n")
+    (tmp_path / "part" / "a.yaml").write_text("x: 1\n")
+    for _ in range(2):
+        assert compose([tmp_path], ["part=a"]).part == {"x": 1, "y": 2}
+        assert compose([tmp_path], ["part=a"], own={"part"}).part == {"x": 1}
+
+
+def test_files_are_merged_once_for_all_values(
+    plugins: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Overrides that choose no file take nothing but time for what they set."""
+    folders = [folder for _, folder in plugins.folders()]
+    walk = ["experiment=spacetime/walk", "policy=mlp"]
+    before = OmegaConf.to_container(compose(folders, walk))
+
+    def again(*_: object) -> None:
+        raise AssertionError("files were chosen anew")
+
+    monkeypatch.setattr(option_files, "choices", again)
+    first, second = (compose(folders, [*walk, f"++seed={seed}"]) for seed in (5, 6))
+    assert (first.seed, second.seed) == (5, 6)
+    assert OmegaConf.to_container(compose(folders, walk)) == before
+    with pytest.raises(AssertionError, match="anew"):
+        compose(folders, ["experiment=spacetime/walk", "policy=spacetime/dynamic"])
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import yaml
-
 from understudy.errors import UnderstudyError
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
@@ -62,16 +60,12 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
         files = OptionFiles([folder for _, folder in sources])
         for item in choices(files, for_hydra(overrides, plugins)).defaults:
             path = item.config_path or ""
-            for owner, source in sources:
-                file = source / f"{path}.yaml"
-                if file.is_file():
-                    package = item.package or ""
-                    prefix = "" if package in ("_global_", "") else package
-                    content = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
-                    for key in paths({k: v for k, v in content.items() if k != "defaults"}, prefix):
-                        group = key.partition(".")[0]
-                        if group not in chosen or path.startswith(f"{group}/"):
-                            origin[key] = f"{path}.yaml [{owner}]"
+            owners = (owner for owner, folder in sources if (folder / f"{path}.yaml").is_file())
+            if owner := next(owners, ""):
+                for key in paths(files.content(item), ""):
+                    group = key.partition(".")[0]
+                    if group not in chosen or path.startswith(f"{group}/"):
+                        origin[key] = f"{path}.yaml [{owner}]"
         for override in map(parsed, overrides):
             value = None if override.is_delete() else override.value()
             for key in paths(value, override.key_or_group):
