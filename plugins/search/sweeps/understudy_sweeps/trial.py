@@ -26,6 +26,7 @@ from understudy.setup.composition import load_experiment, replaced
 from understudy_reinforcement.job import Reinforcement
 from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
+from understudy_training.workflow import leave_damaged_rows_out
 
 __all__ = ["folder_of", "run_trial", "written"]
 
@@ -182,6 +183,7 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
     if (path / "run.json").exists():
         run = runs.open_run(path)
         run.lock()
+        leave_damaged_rows_out(run)
         experiment = run.experiment(config=_config_here(run))
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
