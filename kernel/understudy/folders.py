@@ -14,8 +14,7 @@ from understudy.errors import RunError
 
 __all__ = ["DOCUMENT", "check_within", "opened", "read"]
 
-#: Most bytes that a JSON file, such as ``run.json``, has.
-DOCUMENT = 2**28
+DOCUMENT = 2**28  #: most bytes that a JSON file, such as ``run.json``, has
 
 
 def check_within(folder: Path) -> None:
