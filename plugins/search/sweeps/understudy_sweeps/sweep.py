@@ -69,7 +69,7 @@ def sweep(overrides: Sequence[str]) -> int:
         journal.move(work.folder)
         known = set(journal.finished)
         page = Page(folder, _title(overrides, folder), chosen.effective().get("paper"))
-        with Progress({trial.key for trial in loop.plan}) as progress:
+        with Progress({trial.key for trial in loop.plan}, loop.alike) as progress:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
         page.write(journal, loop.summary(), film=True)

@@ -15,6 +15,7 @@ from urllib.parse import quote
 import torch
 from hydra.core.override_parser.types import Quote, QuotedString
 
+from understudy.command.command import tell
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
 from understudy.folders import read
 from understudy.records import runs
@@ -24,6 +25,7 @@ from understudy.running.jobs import Judgement
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy_reinforcement.job import Reinforcement
+from understudy_report.progress import Lines
 from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
 from understudy_training.workflow import leave_damaged_rows_out
@@ -179,7 +181,7 @@ class _Refused(Exception):
 
 
 def _open(path: Path, trial: Trial, work: Work) -> Training:
-    reporter = Reporter(message=lambda text: print(text, file=sys.stderr))
+    reporter = Reporter(message=tell, observers=[Lines(tell)])
     if (path / "run.json").exists():
         run = runs.open_run(path)
         run.lock()
