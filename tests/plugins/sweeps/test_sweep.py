@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,14 @@ from counted_task import LINE_TASK, Starts, install, line_plugins
 from torch import Tensor
 
 from understudy.command.cli import main
-from understudy.errors import ConfigError, FileError, RunError, TrainingError, UnderstudyError
+from understudy.errors import (
+    ConfigError,
+    FileError,
+    PreemptedError,
+    RunError,
+    TrainingError,
+    UnderstudyError,
+)
 from understudy.random import WorldStreams
 from understudy.running.training import Training
 from understudy.task import Context
@@ -275,6 +283,27 @@ def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.Monke
     sweep(tmp_path)
     assert again == [3]
     assert events(tmp_path) == whole("base/seed0", 4, 8, 12)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_signal_does_not_wait_for_a_judgement(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """Which took eight minutes, in which Ctrl-C was to end "once this iteration is finished"."""
+    judge, waited = Training.judge, []
+
+    def long(self: Training, *arguments: Any) -> Any:
+        os.kill(os.getpid(), number)
+        waited.append(True)
+        return judge(self, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "judge", long)
+        with pytest.raises(PreemptedError, match=f"Stopped by {number.name}; finished trials"):
+            sweep(tmp_path)
+    assert not waited
+    sweep(tmp_path)
+    assert events(tmp_path) == whole("base/seed0", 4, 8, 12), "nothing is trained again"
 
 
 @pytest.mark.parametrize(

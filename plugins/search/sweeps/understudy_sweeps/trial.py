@@ -24,6 +24,7 @@ from understudy.records.runs import Run
 from understudy.running.jobs import Judgement
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import load_experiment, replaced
+from understudy.signals import StopRequest
 from understudy_reinforcement.job import Reinforcement
 from understudy_report.progress import Lines
 from understudy_report.values import mapping
@@ -97,7 +98,8 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
         last = _stopped_at(run)
         stopped = yield from _iterate(trial, training, run, last)
         root = training.experiment.root
-        evaluation, recording = training.judge(root.run.video_seconds)
+        with StopRequest(at_once=True):  # it may take minutes, and can be made again
+            evaluation, recording = training.judge(root.run.video_seconds)
         if recording is not None and recording.tracks:
             recording.save(run.path / "recording.npz")
         run.write_json(JUDGED, evaluation.as_json(training.progress.samples))
