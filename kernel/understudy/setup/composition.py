@@ -186,6 +186,8 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
+    if isinstance(error, RecursionError):
+        return f"{' '.join(overrides)[:200]}: a file of these options builds on itself, or is nested too deep."
     lines = str(error).replace(MARK, "").splitlines()
     text = next((line.strip() for line in lines if line.strip()), "")
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
