@@ -127,6 +127,9 @@ class _Parser(argparse.ArgumentParser):
     """Its errors are one sentence."""
 
     def error(self, message: str) -> NoReturn:
+        if number := re.search(r"invalid (?:_?(int|count)|\w+) value: (.*)", message):
+            kind = "whole number" if number[1] else "number"
+            message = message.replace(number[0], f"{number[2]} is no {kind}")
         wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         if wrong and message.startswith("argument COMMAND"):
             known = re.findall(r"[\w-]+", wrong[2])
