@@ -42,7 +42,9 @@ def check_within(folder: Path) -> None:
                                     "leads to in its place, or remove it."
                                 )
                         elif not stat.S_ISREG(mode):
-                            raise RunError(f"{entry.path} is neither file nor folder. Remove it.")
+                            raise RunError(
+                                f"{entry.path} is neither file nor folder. Name a folder without such."
+                            )
     except OSError as error:
         raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
 

@@ -86,6 +86,10 @@ def _run(arguments: list[str]) -> int:
             raise ConfigError(
                 f"{held[1]} in '{word}' stands for your own: write that in its place."
             )
+        if re.match(r"[\w.+-]+=['\"]?~(/|$)", word):
+            raise ConfigError(
+                f"A shell leaves ~ behind = as it is: write {word.replace('~', '$HOME', 1)}."
+            )
     options, overrides = parser.parse_known_args(arguments)
     _check(overrides, options.overrides_allowed, arguments[0])
     if overrides:

@@ -257,6 +257,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         try:
             path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
             path.mkdir(parents=True, exist_ok=True)
+            check_within(path)
             _refuse_a_second(path)
             run = Run(path, info, registry)
             run.lock()

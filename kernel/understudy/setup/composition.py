@@ -25,15 +25,9 @@ from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw",
-    "for_hydra",
-    "hydra_session",
-    "load_experiment",
-    "options",
-    "refuse_resolvers",
-    "replaced",
+    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "options", "refuse_resolvers", "replaced",
     "split_overrides",
-]
+]  # fmt: skip
 
 
 @contextlib.contextmanager

@@ -40,7 +40,11 @@ class Progress:
         if self._began is None:
             self._began = (now, share)
         text = describe(journal, self._plan, running, summary)
-        left = time_left(now - self._began[0], self._began[1], share) if self._alike else None
+        left = (
+            time_left(now - self._began[0], self._began[1], share)
+            if self._alike and running
+            else None
+        )
         if not self._line.show(share or 0.0, text, left=left) and text != self._told:
             note = text if left is None else f"{text} · about {clock(left)} left"
             self._line.console.print(note, soft_wrap=True)
