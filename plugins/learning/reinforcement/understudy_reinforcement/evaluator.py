@@ -173,6 +173,7 @@ class Evaluator:
                 if term.outcome in outcomes
             }
 
+        different = None if states is None else len(set(states))
         compared = f"measure/{self.options.objective}"
         if self.success is not None:
             compared = "success"
@@ -186,7 +187,7 @@ class Evaluator:
             violated=shares("failure", "report"),
             cut=shares("truncation"),
             measures={
-                name: Measured.of(reducer.reduce, joined[f"measure/{name}"])
+                name: Measured.of(reducer.reduce, joined[f"measure/{name}"], different)
                 for name, reducer in self._reducers.items()
             }
             | begun,
@@ -194,7 +195,7 @@ class Evaluator:
             seconds=self.options.seconds,
             complete=complete,
             unsound=float(joined["unsound"].float().mean()),
-            different_starts=None if states is None else len(set(states)),
+            different_starts=different,
             outcomes=list(zip(states or (), joined[compared].double().tolist(), strict=False)),
             compared=compared.removeprefix("measure/"),
         )
