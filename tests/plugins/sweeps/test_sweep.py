@@ -285,6 +285,28 @@ def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.Monke
     assert events(tmp_path) == whole("base/seed0", 4, 8, 12)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["outer_loop.variants={a: [seed=3]}"], "seed=3 is overruled, .* give outer_loop.seeds"),
+        (["outer_loop.variants={a: seed=3}"], "seed=3 is overruled"),
+        (["outer_loop.variants={a: [run.dir=x]}"], "run.dir=x is overruled, .* leave it out"),
+        (["outer_loop.variants={a: [executor=ray]}"], "executor=ray is overruled"),
+        (["outer_loop.variants={a: [++outer_loop=chain]}"], r"\+\+outer_loop=chain is overruled"),
+        (["seed=3"], r"Write seeds=\[3\]"),
+        (["outer_loop.seeds=[1,0,1]"], "seeds has 1 twice"),
+        (["outer_loop.variants={a: [], a: [learner.rate=2]}"], "'a' stands twice"),
+    ],
+)
+def test_nothing_that_is_asked_for_is_overruled_in_silence(
+    tmp_path: Path, words: list[str], said: str
+) -> None:
+    """A variant with a seed of its own was trained with the sweep's, and one of a name that stands twice not at all."""
+    with pytest.raises(ConfigError, match=said):
+        sweep(tmp_path, *words)
+    assert not list(tmp_path.rglob("run.json"))
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stop_signal_does_not_wait_for_a_judgement(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals

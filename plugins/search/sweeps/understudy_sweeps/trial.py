@@ -150,7 +150,7 @@ def _stopped_at(run: Run) -> float:
 def overrides_of(trial: Trial, work: Work) -> list[str]:
     """The configuration of the run that the trial is. It is a run like any other, so it has neither
     outer loop nor executor."""
-    own = [*trial.overrides, *(f"{name}={value!r}" for name, value in trial.point.items())]
+    own = [f"{name}={value!r}" for name, value in trial.point.items()]
     if trial.seed is not None:
         own.append(f"seed={trial.seed}")
     if trial.fidelity is not None:
@@ -164,7 +164,14 @@ def overrides_of(trial: Trial, work: Work) -> list[str]:
         "executor=null",
         f"run.dir={written(str(folder_of(trial.key, work.folder)))}",
     ]
-    return replaced(work.overrides, own)
+    keys = {override.partition("=")[0] for override in own}
+    for override in trial.overrides:
+        if (key := override.lstrip("+~").partition("=")[0]) in keys:
+            instead = "give outer_loop.seeds the seeds" if key == "seed" else "leave it out"
+            raise ConfigError(
+                f"{override} is overruled, since a sweep says that of each of its trials: {instead}."
+            )
+    return replaced(work.overrides, [*trial.overrides, *own])
 
 
 def written(value: Any) -> str:
