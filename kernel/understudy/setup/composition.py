@@ -260,7 +260,7 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
-        sets = "." in key or value.startswith("{") or _is_value(key, plugins)
+        sets = "." in key or value.startswith("{") or _is_value(key.lstrip("+"), plugins)
         if not key.startswith("~"):
             mend = functools.partial(_as_typed, sets=sets)
             override = f"{key}{equals}{_each_word(value, mend)}"

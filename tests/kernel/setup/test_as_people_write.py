@@ -100,3 +100,12 @@ def test_a_slot_of_one_part_takes_one(value: str) -> None:
     with pytest.raises(ConfigError, match=r"names no option of learner\. Write learner=NAME"):
         compose_raw(["experiment=miniature/go", f"learner={value}"])
     assert compose_raw(["experiment=miniature/go", "learner=[ppo]"])["learner"]["name"] == "ppo"
+
+
+@pytest.mark.parametrize(
+    "word", ["seed=3", "+seed=3", "++seed=3", "num_worlds=3", "++num_worlds=3"]
+)
+def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
+    """As those who know Hydra write it: the number was text, and refused as such."""
+    key = word.lstrip("+").partition("=")[0]
+    assert compose_raw(["experiment=miniature/go", word])[key] == 3
