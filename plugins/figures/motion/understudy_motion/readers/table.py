@@ -14,7 +14,7 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons, tabs, bars or blanks may
 stand between the columns, decimal commas in numbers; columns without a name, and those of row numbers, are left out.
 A column's name, or a row of units below the names, may say another unit, ``root.px [cm]``, ``knee.rx [deg]``,
-``time [ms]``. Times begin at the first frame's, and may be dates and times of ISO 8601, a clock's, or counts of
+``time [ms]``; times a second or more apart need that. Times begin at the first frame's, and may be dates and times of ISO 8601, a clock's, or counts of
 milli-, micro- or nanoseconds since 1970.
 """
 
