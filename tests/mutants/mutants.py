@@ -448,7 +448,7 @@ MUTANTS = (
            "tests/plugins/motion/test_rates.py"),
     Mutant("a key that stands twice", f"{KERNEL}/setup/composition.py", "            if key in keys[-1]:", "            if False:",
            "tests/kernel/setup/test_as_people_write.py -k twice"),
-    Mutant("one episode is certain", "plugins/learning/reinforcement/understudy_reinforcement/evaluation.py", "if n > 1 else math.nan", "if n > 1 else 0.0", "tests/kernel/running/test_evaluations.py -k one_episode"),
+    Mutant("one episode is certain", "plugins/learning/reinforcement/understudy_reinforcement/evaluation.py", "        if n < 2:\n", "        if n < 1:\n", "tests/kernel/running/test_evaluations.py -k one_episode"),
     Mutant("worlds are overruled in silence", "plugins/learning/gym/understudy_gym/worlds.py", "        _refuse_overruled(task, num_worlds, overrides)\n", "",
            "tests/plugins/gym/test_gym.py -k silence"),
     Mutant("a trial is asked for twice", JOURNAL, "if any(trial.key == other.key for other in self.asked):", "if False:",

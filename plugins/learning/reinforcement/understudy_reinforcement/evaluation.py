@@ -21,8 +21,8 @@ class Measured:
     reduce: str  #: how an episode's values became one
     mean: float
     spread: float  #: standard deviation over episodes
-    low: float  #: of the 95 % interval of the mean; NaN where one value says nothing of it
-    high: float
+    low: float | None  #: of the 95 % interval of the mean; None where one value says nothing of it
+    high: float | None
 
     @classmethod
     def of(cls, reduce: str, values: Tensor, starts: int | None = None) -> Measured:
@@ -31,7 +31,7 @@ class Measured:
         the interval of a mean is Student's t of so many, mean ± t(0.975, n - 1) · s / √n."""
         values = values[values.isfinite()].double()
         if not len(values):
-            return cls(reduce, *[math.nan] * 4)
+            return cls(reduce, math.nan, math.nan, None, None)
         mean = float(values.mean())
         spread = float(values.std()) if len(values) > 1 else 0.0
         n = min(len(values), starts or len(values))
@@ -40,16 +40,18 @@ class Measured:
         )
         if reduce == "any" or of_episodes:  # a share: its interval stays between 0 and 1
             return cls(reduce, mean, spread, *wilson_interval(mean, n))
+        if n < 2:
+            return cls(reduce, mean, spread, None, None)
         from scipy.special import stdtrit  # takes its time
 
-        reach = float(stdtrit(n - 1, 0.975)) * spread / math.sqrt(n) if n > 1 else math.nan
+        reach = float(stdtrit(n - 1, 0.975)) * spread / math.sqrt(n)
         return cls(reduce, mean, spread, mean - reach, mean + reach)
 
     def as_json(self) -> dict[str, Any]:
         if math.isnan(self.mean):
             return {"reduce": self.reduce, "mean": None, "spread": None, "mean_95": None}
         found = {"reduce": self.reduce, "mean": self.mean, "spread": self.spread}
-        return {**found, "mean_95": None if math.isnan(self.low) else [self.low, self.high]}
+        return {**found, "mean_95": None if self.low is None else [self.low, self.high]}
 
 
 @dataclass(frozen=True)
