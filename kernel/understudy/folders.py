@@ -14,8 +14,7 @@ from understudy.errors import RunError
 
 __all__ = ["DOCUMENT", "check_within", "opened", "read"]
 
-#: Most bytes that a JSON file, such as ``run.json``, has.
-DOCUMENT = 2**28
+DOCUMENT = 2**28  #: most bytes that a JSON file, such as ``run.json``, has
 
 
 def check_within(folder: Path) -> None:
@@ -43,7 +42,9 @@ def check_within(folder: Path) -> None:
                                     "leads to in its place, or remove it."
                                 )
                         elif not stat.S_ISREG(mode):
-                            raise RunError(f"{entry.path} is neither file nor folder. Remove it.")
+                            raise RunError(
+                                f"{entry.path} is neither file nor folder. Name a folder without such."
+                            )
     except OSError as error:
         raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,17 +18,9 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED",
-    "Option",
-    "as_yaml",
-    "at",
-    "check_range",
-    "checked_options",
-    "in_words",
-    "make_options",
-    "options_of",
-    "schema_of",
-]
+    "REQUIRED", "Option", "as_yaml", "at", "check_range", "checked_options", "in_words", "make_options",
+    "options_of", "schema_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -184,7 +177,10 @@ def plain(value: Any) -> Any:
 
 
 def as_typed(value: Any, text: str) -> Any:
-    """`value`, with the `text` where it is a number or a truth value that does not say it."""
+    """`value`, with the `text` where it is a number or a truth value that does not say it. What YAML alone takes for
+    another number than a reader does (``010`` for 8, ``1:30`` for 90) is text."""
+    if type(value) in (int, float) and re.match(r"[+-]?0[0-9_]|[^:]*:", text):
+        return text
     says = type(value) not in (bool, int, float) or as_yaml(value) == text
     return value if says else Typed(value, text)
 

@@ -18,7 +18,9 @@ from worlds import CLI, SMALL, child_environment, make_training, resumed
 
 from understudy.command.cli import main
 from understudy.errors import RunError
+from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_report.video import write_video
@@ -200,7 +202,7 @@ def test_a_folder_that_may_not_be_entered_ends_in_a_line(
 
     monkeypatch.setattr(os, "stat", forbidden)
     assert main(["evaluate", "/private/run"]) == 2
-    assert "cannot be looked for: Permission denied." in capsys.readouterr().err
+    assert "cannot be used: Permission denied." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("more", [[], ["--overwrite"]])
@@ -225,3 +227,80 @@ def test_no_folder_for_temporary_files(
     assert main(["train", "seed=1"]) == 2
     said = "understudy: No folder for temporary files is writable: set TMPDIR to one.\n"
     assert capsys.readouterr().err == said
+
+
+def test_another_file_that_is_missing_is_no_temporary_folder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is a defect, and keeps its traceback, whatever it is called."""
+    monkeypatch.setattr("tempfile.tempdir", None)
+    name = "temporary directory"
+    monkeypatch.setattr(workflow, "train", lambda words: Path(name).read_text())
+    with pytest.raises(FileNotFoundError):
+        main(["train", "seed=1"])
+
+
+@pytest.mark.parametrize("why", ["ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "ELOOP"])
+def test_a_temporary_file_that_cannot_be_written_ends_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], why: str
+) -> None:
+    """As where ``/tmp`` is full, or became read-only: whoever wanted it need not think of that."""
+    number = getattr(errno, why)
+
+    def full(*_: object) -> None:
+        raise OSError(number, os.strerror(number), "/tmp/of-a-library")
+
+    monkeypatch.setattr(workflow, "train", full)
+    assert main(["train", "seed=1"]) == 2
+    said = f"understudy: /tmp/of-a-library cannot be used: {os.strerror(number)}.\n"
+    assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize("fails", ["run.json", "inputs"])
+@pytest.mark.parametrize("there", ["nothing", "an empty folder", "notes of the user's"])
+@pytest.mark.parametrize("named", [True, False])
+def test_no_folder_is_left_of_a_run_that_could_not_be_made(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str, there: str, named: bool,
+) -> None:  # fmt: skip
+    """As where ``run.json`` does not fit on the disk any more; what is somebody's own stays."""
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "run" if named else tmp_path / "runs"
+    if there != "nothing" and named:
+        run.mkdir()
+    if there.startswith("notes"):
+        (tmp_path / "notes.txt").write_text("mine")
+        (run if named else tmp_path).joinpath("notes.txt").write_text("mine")
+    before = {p: p.is_file() and p.read_bytes() for p in tmp_path.rglob("*")}
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def raising(*_: object, **__: object) -> None:
+        raise full
+
+    owner, name = (os, "replace") if fails == "run.json" else (Inputs, "copy")
+    monkeypatch.setattr(owner, name, raising)
+    where = [f"run.dir={run}"] if named else []
+    with pytest.raises(RunError, match="No space left on device"):
+        runs.create(load_experiment([*FAKE_TASK, *where], plugins), [], {})
+    after = {p: p.is_file() and p.read_bytes() for p in tmp_path.rglob("*")}
+    left = set(after) - set(before)
+    assert not any(p.is_file() and p.name != ".lock" for p in left)
+    if there.startswith("notes") and named:
+        assert after.items() >= before.items()
+    else:
+        assert {p.relative_to(tmp_path).as_posix() for p in left} <= {"runs"}, "its folder is gone"
+
+
+@pytest.mark.parametrize(
+    "left", ["metrics.jsonl", "checkpoints/00000003.json", "faults/x.json", "evaluation.json"]
+)
+def test_no_training_is_mixed_with_what_another_left(
+    plugins: Plugins, tmp_path: Path, left: str
+) -> None:
+    """Where ``run.json`` alone was lost or taken away: rows would be appended, and a resumed training go on from another's
+    checkpoint."""
+    file = tmp_path / "run" / left
+    file.parent.mkdir(parents=True)
+    file.write_text("{}")
+    with pytest.raises(RunError, match=rf"{left} is of a run whose run\.json is gone.*run\.dir"):
+        runs.create(load_experiment([*FAKE_TASK, f"run.dir={tmp_path / 'run'}"], plugins), [], {})
+    assert [p for p in (tmp_path / "run").rglob("*") if p.is_file()] == [file]

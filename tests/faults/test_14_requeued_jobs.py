@@ -100,11 +100,13 @@ def test_rows_that_a_crash_cut_short_are_told_of(
     quick = [*COMMAND, "evaluation.every_samples=null", f"run.dir={run}"]
     assert main(["train", *quick, "budget.samples=256"]) == 0
     with (run / "metrics.jsonl").open("a") as file:
-        file.write('\n{"iteration": 3, "sam')
+        file.write('\n{"iteration": 2.5}x\n\n{"iteration": 3, "sam')
     assert "damaged" not in capsys.readouterr().err
     assert main(["resume", str(run), "budget.samples=512"]) == 0
     said = capsys.readouterr().err
-    assert said.count(f"A row is damaged in {run / 'metrics.jsonl'} and left out.") == 1
+    assert said.count(f"2 rows are damaged in {run / 'metrics.jsonl'} and left out.") == 1
+    kept = (run / "metrics.jsonl.left-out").read_text()
+    assert kept == '{"iteration": 2.5}x\n{"iteration": 3, "sam\n', "nothing is lost"
     assert [row["iteration"] for row in runs.open_run(run).metrics()] == [1, 2, 3, 4]
     assert main(["resume", str(run), "budget.samples=640"]) == 0
     assert "damaged" not in capsys.readouterr().err

@@ -451,6 +451,52 @@ def test_options_that_cannot_be_read(tmp_path: Path, content: bytes | None, why:
     assert_isolated(loaded(stranger), f"its config option 'learner/strange' {why}")
 
 
+PACKAGE = "# @package _global_\ndefaults: [/experiment/miniature/go, _self_]\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (f"{PACKAGE}seed: 3\nseed: 4\n", r"odd\.yaml cannot be read: .*duplicate key seed"),
+        (f"{PACKAGE}budget: {{samples: 3}}\nbudget: {{minutes: 4}}\n", "duplicate key budget"),
+        (f"{PACKAGE}seed: !!python/object/apply:os.getcwd []\n", "cannot be read: could not determine"),
+        (f"{PACKAGE}seed: 010\n", "seed='010' is not possible"),
+        (f"{PACKAGE}seed: -0_10\n", "seed='-0_10' is not possible"),
+        (f"{PACKAGE}budget: {{minutes: 1:30}}\n", "budget.minutes='1:30' is not possible"),
+        (f"{PACKAGE}budget: {{minutes: 1:30.5}}\n", "budget.minutes='1:30.5' is not possible"),
+        ("defaults: [/experiment/miniature/go, _self_]\nseed: 3\n", "begins with '# @package _global_'"),
+        ("", "begins with '# @package _global_'"),
+        ("# @package _global_\ndefaults: [/experiment/odd, _self_]\n", "builds on itself"),
+    ],
+)  # fmt: skip
+def test_a_file_of_options_says_what_is_wrong_with_it(
+    tmp_path: Path, content: str, why: str
+) -> None:
+    """None is a traceback, and no number another one than a reader takes it for (YAML has 8 for 010, 90 for 1:30)."""
+    (tmp_path / "conf/experiment").mkdir(parents=True)
+    (tmp_path / "conf/experiment/odd.yaml").write_text(content)
+    plugins = loaded(module(tmp_path / "conf"))
+    assert status(plugins) == "ok"
+    with pytest.raises(ConfigError, match=why) as caught:
+        load_experiment(["experiment=odd"], plugins)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("said", "seed"), [("10", 10), ("1_000", 1000), ("1e3", 1000), ("0", 0), ("&a 7", 7), ("+3", 3)]
+)
+@pytest.mark.parametrize("written", ["utf-8", "utf-8-sig", "CRLF"])
+def test_a_file_of_options_as_editors_write_it(
+    tmp_path: Path, said: str, seed: int, written: str
+) -> None:
+    (tmp_path / "conf/experiment").mkdir(parents=True)
+    text = f"{PACKAGE}seed: {said}\n"
+    if written == "CRLF":
+        text, written = text.replace("\n", "\r\n"), "utf-8"
+    (tmp_path / "conf/experiment/odd.yaml").write_bytes(text.encode(written))
+    assert load_experiment(["experiment=odd"], loaded(module(tmp_path / "conf"))).root.seed == seed
+
+
 def test_anchors_within_reason_are_read(tmp_path: Path) -> None:
     (tmp_path / "conf/learner").mkdir(parents=True)
     (tmp_path / "conf/learner/strange.yaml").write_bytes(bomb(4))

@@ -14,6 +14,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -32,10 +33,9 @@ from understudy.signals import StopRequest
 
 __all__ = ["main"]
 
-#: What a full disk, or a full share of it, says of what is written to it.
-_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: Why it cannot even be told whether a file is there.
-_UNSEEN = (errno.ENAMETOOLONG, errno.EACCES, errno.EPERM)
+_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: of a full disk, or a full share of it
+#: Why nothing can be done with a file, not even be told whether it is there, whoever wanted to.
+_UNUSABLE = (*_UNPRINTED, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,10 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, OSError) and error.filename is None and error.errno in _UNPRINTED:
                 sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - nothing more goes there
                 error = FileError(f"What is printed cannot be written: {error.strerror}.")
-            if isinstance(error, OSError) and error.filename and error.errno in _UNSEEN:
-                file = str(error.filename)[:100]
-                error = FileError(f"{file} cannot be looked for: {error.strerror}.")
-            if isinstance(error, FileNotFoundError) and "temporary directory" in str(error):
+            if isinstance(error, OSError) and error.filename and error.errno in _UNUSABLE:
+                error = FileError(f"{error.filename!s:.100} cannot be used: {error.strerror}.")
+            if isinstance(error, FileNotFoundError) and tempfile.tempdir is error.filename is None:
+                # Of no file in particular, and none was found for temporary ones.
                 error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
                 raise
@@ -85,6 +85,10 @@ def _run(arguments: list[str]) -> int:
         if held and not os.path.exists(held[1]):
             raise ConfigError(
                 f"{held[1]} in '{word}' stands for your own: write that in its place."
+            )
+        if re.match(r"[\w.+-]+=['\"]?~(/|$)", word):
+            raise ConfigError(
+                f"A shell leaves ~ behind = as it is: write {word.replace('~', '$HOME', 1)}."
             )
     options, overrides = parser.parse_known_args(arguments)
     _check(overrides, options.overrides_allowed, arguments[0])
@@ -127,6 +131,9 @@ class _Parser(argparse.ArgumentParser):
     """Its errors are one sentence."""
 
     def error(self, message: str) -> NoReturn:
+        if number := re.search(r"invalid (?:_?(int|count)|\w+) value: (.*)", message):
+            kind = "whole number" if number[1] else "number"
+            message = message.replace(number[0], f"{number[2]} is no {kind}")
         wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         if wrong and message.startswith("argument COMMAND"):
             known = re.findall(r"[\w-]+", wrong[2])

@@ -22,6 +22,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -45,9 +46,9 @@ from understudy.task import State
 
 __all__ = ["Run", "cores", "create", "differences", "newest_state", "open_run"]
 
-#: Version of the folder's layout.
-LAYOUT = 3
+LAYOUT = 3  #: version of the folder's layout
 _METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it
+_LEFT = ("metrics.jsonl", "checkpoints/*", "faults/*", "evaluation*.json", "recording.npz")
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 
@@ -62,10 +63,8 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the libraries that decide results, as they were when first asked for."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found
 
 
@@ -238,26 +237,11 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     """
     root = experiment.root
     named = [o.partition("=")[2] for o in overrides if o.lstrip("+").startswith("experiment=")]
-    try:
-        path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
-        path.mkdir(parents=True, exist_ok=True)
-        _refuse_a_second(path)
-        run = Run(path, {}, experiment.registry)
-        run.lock()
-        _refuse_a_second(path)  # that another process has made meanwhile
-        for folder in ("checkpoints", "faults"):
-            (path / folder).mkdir(exist_ok=True)
-        inputs = experiment.inputs.copy(path / "inputs")
-    except OSError as error:
-        raise RunError(
-            f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}. Give run.dir "
-            "another one."
-        ) from error
     used = {(c.kind, c.name): c for c in experiment.components()}
     cited, registry = {c.plugin for c in used.values()}, experiment.registry
     facts = ("kind", "name", "plugin", "distribution", "version")
     threads = torch.get_num_threads()
-    run.info = {
+    info = {
         "layout": LAYOUT,
         "config": experiment.effective(),
         "overrides": list(overrides),
@@ -268,9 +252,26 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),
         "citations": [c.summary for c in registry.citations.values() if c.plugin in cited],
-        "inputs": inputs,
     }
-    run.write_json("run.json", run.info)
+    with contextlib.ExitStack() as undo:
+        try:
+            path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
+            path.mkdir(parents=True, exist_ok=True)
+            check_within(path)
+            _refuse_a_second(path)
+            run = Run(path, info, registry)
+            run.lock()
+            _refuse_a_second(path)  # that another process has made meanwhile
+            if os.listdir(path) == [".lock"]:  # whole, or not at all
+                undo.callback(shutil.rmtree, path, ignore_errors=True)
+            for folder in ("checkpoints", "faults"):
+                (path / folder).mkdir(exist_ok=True)
+            info["inputs"] = experiment.inputs.copy(path / "inputs")
+        except OSError as error:
+            where = f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}."
+            raise RunError(f"{where} Give run.dir another one.") from error
+        run.write_json("run.json", info)
+        undo.pop_all()
     return run
 
 
@@ -280,6 +281,8 @@ def _refuse_a_second(path: Path) -> None:
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
             "run.dir another folder."
         )
+    for left in (file for name in _LEFT for file in path.glob(name)):
+        raise RunError(f"{left} is of a run whose run.json is gone. Give run.dir another folder.")
 
 
 def _free_folder(name: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,13 +32,14 @@ class Built:
 
 def device_of(name: str) -> torch.device:
     """The torch device `name`, or an error that says why it cannot be used."""
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise ConfigError(f"device={name} is no device. Use cpu, cuda, or cuda:1.") from error
+    if not re.fullmatch(r"cpu(:0)?|cuda(:[0-9]+)?", name):
+        raise ConfigError(f"device={name} is no device. Use cpu, cuda, or cuda:1.")
+    device = torch.device(name)
     if device.type == "cuda":
-        if not torch.cuda.is_available():
-            raise ConfigError(f"device={name}, but torch sees no CUDA GPU here. Use device=cpu.")
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if (device.index or 0) >= count:
+            sees = f"{count} of those" if count else "no CUDA GPU"
+            raise ConfigError(f"device={name}, but torch sees {sees} here. Use device=cpu.")
         if device.index is None:
             device = torch.device("cuda", torch.cuda.current_device())
     return device

@@ -25,15 +25,9 @@ from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw",
-    "for_hydra",
-    "hydra_session",
-    "load_experiment",
-    "options",
-    "refuse_resolvers",
-    "replaced",
+    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "options", "refuse_resolvers", "replaced",
     "split_overrides",
-]
+]  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -100,7 +94,7 @@ def readable(override: str) -> str:
 def _each_word(value: str, mend: Callable[[str], str]) -> str:
     """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word
     in it that is not quoted. Brackets after an equals sign are the word's own."""
-    result, word, depth, quote, within = "", "", 0, "", [""]
+    result, word, depth, quote, within, keys = "", "", 0, "", [""], [set[str]()]
 
     def ended() -> str:
         plain = word.strip()
@@ -112,9 +106,15 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
         elif "=" in word and (sign in "[{" or depth):
             depth += (sign in "[{") - (sign in "]}")
         elif sign in "[]{}," or (sign == ":" and within[-1] == "{"):
+            key = word.strip().strip("'\"") if sign == ":" and result[-1] in "{," else ""
+            if key in keys[-1]:
+                raise ConfigError(f"'{key}' stands twice in {value[:200]}. Write it once.")
+            keys[-1] |= {key} - {""}
             result, word = result + (word if sign == ":" else ended()) + sign, ""
-            within += [sign] if sign in "[{" else []
-            within = within[:-1] if sign in "]}" and len(within) > 1 else within
+            if sign in "[{":
+                within, keys = [*within, sign], [*keys, set()]
+            elif sign in "]}" and len(within) > 1:
+                within, keys = within[:-1], keys[:-1]
             continue
         word += sign
     return result + ended()
@@ -144,6 +144,10 @@ def _check(override: str, plugins: Plugins) -> None:
     group = read.key_or_group
     if not _is_value(group, plugins) and ("/" in group or "." not in group):  # it names a file
         names = chosen if isinstance(chosen, list) else [chosen]
+        slot = plugins.registry.slots.get(group)
+        one = slot is not None and not slot.many and len(names) != 1
+        if names is chosen and (one or not all(isinstance(n, (str, QuotedString)) for n in names)):
+            raise ConfigError(f"{override} names no option of {group}. Write {key}=NAME.")
         if any(map(_leads_out, (group, *names))):
             raise ConfigError(
                 f"{override} names no option: those are files in the folders of options."
@@ -181,6 +185,8 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
+    if isinstance(error, RecursionError):
+        return f"{' '.join(overrides)[:200]}: a file of these options builds on itself, or is nested too deep."
     text = next(iter(str(error).replace(MARK, "").strip().splitlines()), "").rstrip()
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:
@@ -246,7 +252,7 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
-        sets = "." in key or value.startswith("{") or _is_value(key, plugins)
+        sets = "." in key or value.startswith("{") or _is_value(key.lstrip("+"), plugins)
         if not key.startswith("~"):
             mend = functools.partial(_as_typed, sets=sets)
             override = f"{key}{equals}{_each_word(value, mend)}"

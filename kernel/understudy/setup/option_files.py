@@ -87,8 +87,12 @@ class OptionFiles(ConfigRepository):
     def _found(self, config_path: str) -> tuple[ConfigResult, dict[str, Any]] | None:
         state = self.states[config_path] = self.states.get(config_path) or self._state(config_path)
         if state and state not in _read:
-            text = Path(state[0]).read_text(encoding="utf-8")
-            content = _Loader(text).get_single_data() or {}
+            text = Path(state[0]).read_text(encoding="utf-8-sig")
+            try:
+                content = _Loader(text).get_single_data() or {}
+            except yaml.YAMLError as error:
+                said = " ".join(str(error).split())[:300]
+                raise ConfigError(f"{state[0]} cannot be read: {said}. Correct it.") from error
             if not isinstance(content, dict):
                 raise ConfigError(f"{state[0]} is no mapping of keys to values. Write KEY: VALUE.")
             chosen = OmegaConf.create({"defaults": plain(content.pop("defaults", []))})

@@ -311,3 +311,40 @@ def test_an_option_named_as_its_file_is_told_its_name(
 def test_other_choices_too(choice: str, capsys: pytest.CaptureFixture[str]) -> None:
     line = complaint(capsys, "config", "experiment=spacetime/walk", choice)
     assert line.endswith("Write learner=ppo.")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("play --push strong", "Argument --push: 'strong' is no number."),
+        ("play --bits x", "Argument --bits: 'x' is no whole number."),
+        ("export a b.bvh --cycles 1.5", "Argument --cycles: '1.5' is no whole number."),
+        ("export a b.bvh --rate fast", "Argument --rate: 'fast' is no number."),
+        ("motion retarget a b c.npz --start now", "Argument --start: 'now' is no number."),
+    ],
+)
+def test_what_is_no_number_is_named_as_people_would(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not as the name of a function that reads it: "invalid _count value"."""
+    assert main(words.split()) == 2
+    assert capsys.readouterr().err.startswith(f"understudy: {said} See `understudy ")
+
+
+@pytest.mark.parametrize(
+    "word", ["run.dir=~/mine", "motion.file='~/walk.npz'", "+initial_states.file=~/a", "--video=~/v.mp4", "run.dir=~"]
+)  # fmt: skip
+def test_a_home_that_no_shell_fills_in_is_no_folder_of_that_name(
+    word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A training made the folder ``~`` in the working folder, which is then asked to be removed."""
+    monkeypatch.chdir(tmp_path)
+    command = (
+        ["play", "spacetime/walk"]
+        if word.startswith("--")
+        else ["train", "experiment=miniature/go"]
+    )
+    assert main([*command, word]) == 2
+    said = f"understudy: A shell leaves ~ behind = as it is: write {word.replace('~', '$HOME')}.\n"
+    assert capsys.readouterr().err == said
+    assert not any(tmp_path.iterdir())

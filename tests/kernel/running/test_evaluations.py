@@ -50,15 +50,48 @@ def test_measured() -> None:
     found = Measured.of("last", torch.tensor([*values, math.inf]))
     mean, spread = statistics.fmean(values), statistics.stdev(values)
     assert (found.mean, found.spread) == (mean, pytest.approx(spread))
-    assert found.low == pytest.approx(mean - 1.96 * spread / 2)
-    assert found.high == pytest.approx(mean + 1.96 * spread / 2)
-    assert Measured.of("last", torch.tensor([3.0])) == Measured("last", 3, 0, 3, 3)
+    reach = 3.182446 * spread / 2  # Student's t at 0.975, three degrees of freedom
+    assert found.low == pytest.approx(mean - reach)
+    assert found.high == pytest.approx(mean + reach)
     none = Measured.of("min", torch.tensor([math.inf, math.nan]))
     assert math.isnan(none.mean)
     assert none.as_json()["mean"] is None
     unknown = Evaluation(2, measures={"least": none, "return": none}, objective="least")
     assert unknown.objective_value is None, "a measure that no episode has is not 0"
     assert unknown.sentence() == "nothing was measured."
+
+
+@pytest.mark.parametrize(
+    ("values", "starts"),
+    [([3.0], None), ([3.0], 1), ([3.0] * 128, 1), ([1.0, 2.0, 4.0], 1), ([3.0, math.nan], None)],
+)
+def test_one_episode_says_nothing_of_others(values: list[float], starts: int | None) -> None:
+    """Nor do many from the same state: the interval had no width, as if the mean were certain."""
+    found = Measured.of("last", torch.tensor(values), starts).as_json()
+    assert found["mean_95"] is None
+    assert found["mean"] == pytest.approx(statistics.fmean(v for v in values if v == v))
+
+
+@pytest.mark.parametrize("starts", [2, 5, 64])
+def test_intervals_are_of_the_states_in_which_episodes_began(starts: int) -> None:
+    """Two from each: no narrower than of one from each, of means and of shares."""
+    values = torch.linspace(0.0, 3.0, starts, dtype=torch.float64)
+    for reduce, one in (("last", values), ("any", (values > 1).double())):
+        once, twice = Measured.of(reduce, one), Measured.of(reduce, one.repeat(2), starts)
+        assert twice.mean == pytest.approx(once.mean)
+        width = once.high - once.low
+        assert twice.high - twice.low > 0.69 * width, "the spread of each is estimated"
+        counted = Measured.of(reduce, one.repeat(2))
+        assert twice.high - twice.low > counted.high - counted.low
+
+
+def test_intervals_of_few_episodes_hold() -> None:
+    """95 of a hundred times, also for two and for five episodes; 1.96 standard errors held for 70 and 88."""
+    draws = torch.randn(4000, 5, generator=torch.Generator().manual_seed(0)).double()
+    for n in (2, 5):
+        found = [Measured.of("mean", row[:n]) for row in draws]
+        held = statistics.fmean(one.low <= 0.0 <= one.high for one in found)
+        assert held == pytest.approx(0.95, abs=0.012)
 
 
 @pytest.mark.parametrize("reduce", ["any", "min", "max"])
@@ -131,7 +164,7 @@ def test_survival() -> None:
     values = [4.0, 5.0, 6.0, 6.0]
     assert (at.reduce, at.mean) == ("last", statistics.fmean(values))
     assert at.spread == pytest.approx(statistics.stdev(values))
-    assert at.high - at.mean == pytest.approx(1.96 * statistics.stdev(values) / 2)
+    assert at.high - at.mean == pytest.approx(3.182446 * statistics.stdev(values) / 2)
     assert (low.reduce, low.mean) == ("min", (1 + 2 + 3 + 4) / 4)
     returns = [1 + 2 + 3 + 4, 2 + 3 + 4 + 5, 3 + 4 + 5 + 6, 4 + 5 + 6]
     assert (back.reduce, back.mean) == ("sum", statistics.fmean(returns))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from typing import Any, Literal
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from understudy.errors import ConfigError
 from understudy.options import in_words
-from understudy.setup.composition import readable
+from understudy.setup.composition import _each_word, compose_raw, readable
 
 
 @pytest.mark.parametrize(
@@ -61,3 +63,49 @@ def test_what_does_not_close_stays_as_it_is(broken: str) -> None:
 )
 def test_types_in_words(annotation: Any, words: str) -> None:
     assert in_words(annotation) == words
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["{a: [], a: [seed=3]}", "{name: grid, name: chain}", "{'a': 1, \"a\": 2}", "{b: {a: 1, a: 2}}", "{c: [{a: 1}, {b: 2,b: 3}]}", "{a: {b: 1}, c: 2, a: 3}"],
+)  # fmt: skip
+def test_a_key_that_stands_twice_in_a_value_is_refused(value: str) -> None:
+    """The last one was taken, in silence: of two variants of one name the other was never trained."""
+    with pytest.raises(ConfigError, match=r"'(a|b|name)' stands twice in .* Write it once\."):
+        compose_raw([f"outer_loop={value}"])
+
+
+@pytest.mark.parametrize(
+    "value", ["{a: a, b: a}", "{a: [b={a: 1}], b: [b={a: 1}]}", "{a: [{b: 1}, {b: 2}]}", "{a: {a: {a: 1}}, b: {a: 2}}", "{a: '{a: 1, a: 2}'}", "{a: x:a}"],
+)  # fmt: skip
+def test_the_same_key_elsewhere_in_it_is_another(value: str) -> None:
+    with contextlib.suppress(ConfigError):
+        compose_raw([f"outer_loop={value}"])
+    assert _each_word(value, lambda word: word) == value
+
+
+@pytest.mark.parametrize(
+    "group", ["learner", "task", "experiment", "outer_loop", "encoder", "+style"]
+)
+@pytest.mark.parametrize("value", ["[null]", "[{a: 1}]", "[[a]]", "[1]", "[true]", "[a,{b: c}]"])
+def test_a_list_of_what_names_no_option(group: str, value: str) -> None:
+    """It was a traceback of Hydra's."""
+    with pytest.raises(ConfigError, match=r"names no option of .* Write .*=NAME|There is no"):
+        compose_raw([f"{group}={value}"])
+
+
+@pytest.mark.parametrize("value", ["[ppo,trpo]", "[]"])
+def test_a_slot_of_one_part_takes_one(value: str) -> None:
+    """Of two learners the last was taken, with what the other's file says of options; of none, none was."""
+    with pytest.raises(ConfigError, match=r"names no option of learner\. Write learner=NAME"):
+        compose_raw(["experiment=miniature/go", f"learner={value}"])
+    assert compose_raw(["experiment=miniature/go", "learner=[ppo]"])["learner"]["name"] == "ppo"
+
+
+@pytest.mark.parametrize(
+    "word", ["seed=3", "+seed=3", "++seed=3", "num_worlds=3", "++num_worlds=3"]
+)
+def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
+    """As those who know Hydra write it: the number was text, and refused as such."""
+    key = word.lstrip("+").partition("=")[0]
+    assert compose_raw(["experiment=miniature/go", word])[key] == 3

@@ -14,6 +14,7 @@ from worlds import SMALL, make_training
 from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.options import as_typed, coerce
+from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment, readable, replaced
 from understudy.setup.option_files import compose
 from understudy.setup.plugins import Plugins, installed, load
@@ -440,3 +441,21 @@ def test_a_named_component_has_nothing_of_the_one_before_it() -> None:
 def test_of_two_that_share_a_number_one_may_take_the_text() -> None:
     found = compose_raw(["experiment=spacetime/walk", "run.dir=${num_worlds}", "num_worlds=1e3"])
     assert (found["run"]["dir"], found["num_worlds"]) == ("1e3", 1000)
+
+
+@pytest.mark.parametrize(
+    "name", ["mps", "meta", "xpu", "xla", "cpu:1", "CPU", "gpu", "", "cuda:", "cuda:-1", "cuda:x"]
+)
+def test_what_torch_calls_a_device_and_is_none_here(name: str) -> None:
+    """``mps``, as on a Mac, was a traceback, and ``meta`` would have been numbers without values."""
+    with pytest.raises(ConfigError, match=rf"^device={name} is no device\. Use cpu, cuda"):
+        device_of(name)
+
+
+def test_a_gpu_of_a_number_that_there_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    assert device_of("cuda:1").index == 1
+    with pytest.raises(ConfigError, match="device=cuda:2, but torch sees 2 of those here"):
+        device_of("cuda:2")
+    assert device_of("cpu:0").type == "cpu"

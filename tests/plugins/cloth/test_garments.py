@@ -237,6 +237,12 @@ BAD: dict[str, tuple[Change, str]] = {
         lambda x, f, n: (x, f, "mesh: s.obj\nloops:\n  a: [1, 2, 3]\n  a: {hole: 3}"),
         "'loops.a' is there twice, in line 4",
     ),
+    "a vertex to the base 8": (
+        lambda x, f, n: (x, f, "mesh: s.obj\nloops:\n  a: [1, 012, 3]"), "012 in line 3 is another number",
+    ),
+    "a unit to the base 60": (
+        lambda x, f, n: (x, f, "mesh: s.obj\nunit: 1:30\nloops: {a: [1, 2, 3]}"), "1:30 in line 2 is another",
+    ),
     "code": (lambda x, f, n: (x, f, "mesh: !!python/object/apply:os.getcwd []"), "no YAML"),
 }  # fmt: skip
 

@@ -8,6 +8,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,35 @@ def test_what_is_not_possible_is_said(settings: dict[str, Any], said: str) -> No
         gymnasium.make(TOY, **settings)
     with pytest.raises(ConfigError, match=said):
         gymnasium.make_vec(TOY, num_envs=2, **settings)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("num_worlds=3", "num_envs=3"),
+        ("++num_worlds=3", "num_envs=3"),
+        ("num_worlds='3'", "num_envs=3"),
+        ("task=miniature/stop", "Make miniature/stop with"),
+        ("experiment=miniature/stop", "Make miniature/stop with"),
+        ("experiment=spacetime/walk", "Make spacetime/walk with"),
+    ],
+)
+def test_what_is_said_beside_the_overrides_is_not_overruled_in_silence(
+    override: str, said: str
+) -> None:
+    """It was: of the experiment of another task nothing came but some of its options."""
+    for make in (gymnasium.make, partial(gymnasium.make_vec, num_envs=2)):
+        with pytest.raises(ConfigError, match=said):
+            make("miniature/go", overrides=[override])
+
+
+@pytest.mark.parametrize(
+    "override", ["num_worlds=2", "task=miniature/go", "experiment=miniature/go"]
+)
+def test_what_is_said_twice_may_be(override: str) -> None:
+    worlds = gymnasium.make_vec("miniature/go", num_envs=2, overrides=[override])
+    assert worlds.num_envs == 2
+    worlds.close()
 
 
 def test_an_argument_that_nothing_takes_is_refused() -> None:

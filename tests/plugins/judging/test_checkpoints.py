@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from understudy_judging.commands import _best, _nearest, _share
+from understudy.errors import ConfigError
+from understudy_judging.commands import _best, _nearest, _share, _value
 
 
 def run(*rows: dict[str, float]) -> Any:
@@ -53,3 +54,29 @@ def test_shares(text: str, share: float | None) -> None:
 def test_of_two_as_near_the_later_is_a_share(share: float, nearest: int) -> None:
     """An untrained one is no half of a training of which first and last are kept."""
     assert _nearest([0, 24], share) == nearest
+
+
+def test_a_row_of_no_iteration_tells_of_no_checkpoint() -> None:
+    rows = {"evaluation/success_rate": 1.0}, judged(5, 0.5), {"evaluation/success_rate": 1.0, "iteration": "x"}  # fmt: skip
+    assert _best(run(*rows), [0, 5, 20]) == 5
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "value"),
+    [("episodes", "010", 10), ("episodes", "1e2", 100), ("episodes", "1_000", 1000), ("episodes", "8.0", 8),
+     ("seconds", ".5", 0.5), ("seconds", "-0", 0), ("camera", "-90", -90), ("camera", "1e2", 100)],
+)  # fmt: skip
+def test_numbers_are_what_they_are_read_for(key: str, text: str, value: float) -> None:
+    """By YAML's rules 010 episodes were eight, 1:30 seconds ninety, and 1e2 no number."""
+    assert _value(key, text) == value
+    assert type(_value(key, text)) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [("episodes", t) for t in ("0", "-1", "1.5", "nan", "inf", "0x10", "true", "", "1,5", "[3]")]
+    + [("seconds", t) for t in ("1:30", "5s", "0b1", "yes", "", "~", "null")],
+)  # fmt: skip
+def test_what_is_no_number_is_refused(key: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=r"is not possible: it takes a (whole )?number"):
+        _value(key, text)

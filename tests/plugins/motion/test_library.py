@@ -16,6 +16,7 @@ from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
+from understudy_motion.reading import ReadOptions
 
 
 def still() -> Clip:
@@ -147,3 +148,23 @@ def test_content_that_no_reader_knows_is_refused(tmp_path: Path) -> None:
     file.write_text("nothing of the kind")
     with pytest.raises(FileError, match=r"not a format that is read here \(.*deepmimic"):
         library.load(None, str(file), GENERATED)
+
+
+@pytest.mark.parametrize("file", ["", ".", "/", "./"])
+def test_a_file_without_a_name_is_none(file: str) -> None:
+    """As of ``motion.file=$CLIP`` where the shell knows no CLIP: it was a traceback."""
+    for asked in (library.files, library.load):
+        with pytest.raises(FileError, match=r"names no file\. Give the path of a clip"):
+            asked(None, file, GENERATED)
+
+
+@pytest.mark.parametrize(
+    "option", [{"unit": "cm"}, {"up": "y"}, {"loop": False}, {"rate": 60.0}, {"skeleton": Path("a.asf")}]
+)  # fmt: skip
+def test_what_a_file_leaves_unsaid_is_not_given_for_a_generated_clip(
+    option: dict[str, Any],
+) -> None:
+    """It was ignored, in silence: the walk stayed in metres, at its rate, and looped."""
+    (name,) = option
+    with pytest.raises(ConfigError, match=rf"motion\.{name}=.* is of clip files, and still is"):
+        library.find("still", GENERATED, ReadOptions(**option))

@@ -554,3 +554,27 @@ def test_what_is_packed_says_on_what_terms(tmp_path: Path, monkeypatch: pytest.M
     assert main(["play", "spacetime/walk", "--pack", str(tmp_path / "walk.json")]) == 0
     assert found[0]["commercial"] == []
     assert "clip walk" in [item["what"] for item in found[0]["items"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--video", "v.mp4", "--push", "nan"], "nan is not a finite number"),
+        (["--video", "v.mp4", "--push=-inf"], "-inf is not a finite number"),
+        (["--video", "v.mp4", "--push", "strong"], "'strong' is no number"),
+        (["--video", "v.mp4", "--seconds", "1e9"], "1e9 is not above 0 and at most 3600 s"),
+        (["--video", "v.mp4", "--seconds", "nan"], "nan is not above 0"),
+        (["--video", "v.mp4", "--seconds", "0"], "0 is not above 0"),
+        *((["--video", name], "call it as walk.mp4") for name in ("v.txt", "v", "v.gif", "v.mp4.bak")),
+    ],
+)  # fmt: skip
+def test_a_video_of_no_possible_kind_is_refused(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """A push of nan pushed nothing, an hour's hours had no end, and v.txt was a video."""
+    monkeypatch.chdir(tmp_path)
+    for command in (["play", "spacetime/walk"], ["sitting", "follow"]):
+        if command[0] == "play" or "--push" not in " ".join(words):
+            assert main([*command, *words]) == 2
+            assert said in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())

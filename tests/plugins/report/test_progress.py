@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from report_runs import make_run
 from rich.console import Console
 
+from understudy_report import progress
 from understudy_report.by_term import ByTerm
-from understudy_report.progress import LiveLine, ProgressLine, clock, ending, share
+from understudy_report.progress import Lines, LiveLine, ProgressLine, clock, ending, share
 
 
 @pytest.mark.parametrize(
@@ -68,6 +70,42 @@ def test_a_live_line_is_for_terminals(terminal: bool) -> None:
     line.stop()
     assert ("training" in written.getvalue()) == terminal
     assert ("12 samples" in written.getvalue()) == terminal
+
+
+def test_the_time_left_goes_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is told once holds for minutes, in which nothing else may be told."""
+    now, line, written = [100.0], LiveLine("sweep"), io.StringIO()
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    line.console = Console(file=written, force_terminal=True, width=120)
+    line.start()
+    line.show(0.5, "1 of 2 done", left=136.0)
+    for seconds, said in (
+        (0, "about 2:16 left"),
+        (100, "about 0:36 left"),
+        (137, "longer than before"),
+    ):
+        now[0] = 100.0 + seconds
+        assert line._bar is not None
+        written.truncate(0)
+        line._bar.refresh()
+        assert said in written.getvalue()
+    line.stop()
+
+
+def test_lines_of_a_training_within_a_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, said = [0.0], list[str]()
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    run, lines = make_run(tmp_path / "led"), Lines(said.append)
+    run.info["config"]["budget"] = {"samples": 1000, "minutes": None}
+    for iteration in range(1, 11):
+        now[0] += 10.0
+        lines.iteration(run, by_term(iteration, 0.5, 8.0), "stage 2")
+    assert len(said) == 2, "none of a short training, and one now and then of a long one"
+    assert said[0].startswith("led: iteration 4 · 200 samples")
+    assert "stage 2" in said[0]
+    assert "at most 0:16 left" in said[0]
 
 
 def test_clock() -> None:

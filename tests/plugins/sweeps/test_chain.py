@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import pytest
 
 from understudy.errors import ConfigError
+from understudy_sequencing.algorithm import Algorithm1
+from understudy_sweeps import progress
 from understudy_sweeps.chain import Chain
+from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 
 
@@ -57,3 +63,24 @@ def test_what_every_experiment_of_a_chain_has() -> None:
     assert second.overrides == ("job=harvest", "job.run='runs/a'")
     with pytest.raises(ValueError, match="each names the stage 'a'"):
         Chain.Options(stages, each=("start.run={a}",))
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_no_time_is_told_from_stages_that_are_not_alike(
+    alike: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two stages of seconds followed two minutes and a quarter, it was said, of a judgement that took eight."""
+    now = [0.0]
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    assert not Chain.alike
+    assert not Algorithm1.alike
+    journal = Journal(tmp_path / "journal.jsonl")
+    with progress.Progress({"a", "b", "c"}, alike) as line:
+        line.show(journal, 0.0, 1)
+        now[0] = 68.0
+        journal.events.append(Report("a", "ok", run="runs/a"))
+        line.show(journal, 1 / 3, 1)
+    said = capsys.readouterr().err
+    assert "1 of 3 done" in said
+    assert ("left" in said) == alike
+    assert ("about 2:16 left" in said) == alike

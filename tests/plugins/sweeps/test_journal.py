@@ -117,6 +117,46 @@ def test_trials_of_other_types_are_left_out(trial: dict[str, Any], tmp_path: Pat
     assert [event.key for event in Journal.read(path).events] == ["a"]
 
 
+@pytest.mark.parametrize(
+    "row",
+    [
+        '{"event": "asked", "trial": {"key": "b", "overrides": [], "of_tomorrow": 1}}',
+        '{"event": "asked", "trial": {"key": "b", "overrides": ["x=${oc.env:HOME}"]}}',
+        '{"event": "finished", "report": {"key": "b", "status": "ok", "run": "r", "cost": "many"}}',
+        '{"event": "stopped"}', "[1]", '{"event": "asked", "tri', "\udcff",
+    ],
+)  # fmt: skip
+def test_a_row_that_is_left_out_is_kept_beside(
+    row: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another version's row may be all that there is of hours."""
+    journal = Journal.open(tmp_path / "journal.jsonl")
+    journal.ask(ASKED)
+    whole, given = journal.path.read_bytes(), row.encode(errors="surrogateescape")
+    beside = tmp_path / "journal.jsonl.left-out"
+    for rows in ([given], [given, b'{"event": 3}']):
+        journal.path.write_bytes(b"\n".join([*rows, whole]))
+        assert Journal.open(journal.path).events == [ASKED]
+        assert journal.path.read_bytes() == whole
+        assert beside.read_bytes().splitlines() == rows, "each once, and what was kept stays"
+        assert f"kept in {beside.name} beside it" in capsys.readouterr().err
+
+
+def test_a_row_that_cannot_be_kept_is_not_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "journal.jsonl"
+    path.write_text('{"event": "of tomorrow"}\n')
+
+    def full(file: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(RunError, match=r"left-out could not be written: No space left"):
+        Journal.open(path)
+    assert path.read_text() == '{"event": "of tomorrow"}\n'
+
+
 def test_a_folder_in_its_place_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="cannot be read"):
         Journal.read(tmp_path)

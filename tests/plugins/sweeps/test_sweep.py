@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,14 @@ from counted_task import LINE_TASK, Starts, install, line_plugins
 from torch import Tensor
 
 from understudy.command.cli import main
-from understudy.errors import ConfigError, FileError, RunError, TrainingError, UnderstudyError
+from understudy.errors import (
+    ConfigError,
+    FileError,
+    PreemptedError,
+    RunError,
+    TrainingError,
+    UnderstudyError,
+)
 from understudy.random import WorldStreams
 from understudy.running.training import Training
 from understudy.task import Context
@@ -275,6 +283,49 @@ def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.Monke
     sweep(tmp_path)
     assert again == [3]
     assert events(tmp_path) == whole("base/seed0", 4, 8, 12)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["outer_loop.variants={a: [seed=3]}"], "seed=3 is overruled, .* give outer_loop.seeds"),
+        (["outer_loop.variants={a: seed=3}"], "seed=3 is overruled"),
+        (["outer_loop.variants={a: [run.dir=x]}"], "run.dir=x is overruled, .* leave it out"),
+        (["outer_loop.variants={a: [executor=ray]}"], "executor=ray is overruled"),
+        (["outer_loop.variants={a: [++outer_loop=chain]}"], r"\+\+outer_loop=chain is overruled"),
+        (["seed=3"], r"Write seeds=\[3\]"),
+        (["outer_loop.seeds=[1,0,1]"], "seeds has 1 twice"),
+        (["outer_loop.variants={a: [], a: [learner.rate=2]}"], "'a' stands twice"),
+    ],
+)
+def test_nothing_that_is_asked_for_is_overruled_in_silence(
+    tmp_path: Path, words: list[str], said: str
+) -> None:
+    """A variant with a seed of its own was trained with the sweep's, and one of a name that stands twice not at all."""
+    with pytest.raises(ConfigError, match=said):
+        sweep(tmp_path, *words)
+    assert not list(tmp_path.rglob("run.json"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_signal_does_not_wait_for_a_judgement(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """Which took eight minutes, in which Ctrl-C was to end "once this iteration is finished"."""
+    judge, waited = Training.judge, []
+
+    def long(self: Training, *arguments: Any) -> Any:
+        os.kill(os.getpid(), number)
+        waited.append(True)
+        return judge(self, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "judge", long)
+        with pytest.raises(PreemptedError, match=f"Stopped by {number.name}; finished trials"):
+            sweep(tmp_path)
+    assert not waited
+    sweep(tmp_path)
+    assert events(tmp_path) == whole("base/seed0", 4, 8, 12), "nothing is trained again"
 
 
 @pytest.mark.parametrize(

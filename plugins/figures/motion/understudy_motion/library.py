@@ -57,6 +57,11 @@ def load(
         a parameter that the generated clip does not have, or parameters for a file.
     """
     if file is None and name in registry.names("clip"):
+        for option, value in vars(options).items():
+            if value is not None:
+                raise ConfigError(
+                    f"motion.{option}={value} is of clip files, and {name} is generated. Leave it out."
+                )
         component = registry.find("clip", name)
         return component.factory(
             **checked_options(component.options, parameters or {}, "motion.parameters")
@@ -87,6 +92,10 @@ def files(
 
 def _file(name: str | None, file: str | None, registry: Registry) -> Path:
     if file is not None:
+        if not Path(file).name:  # empty, as where a variable of the shell is
+            raise FileError(
+                f"motion.file='{file}' names no file. Give the path of a clip, or leave it out."
+            )
         return Path(file)
     if not name:
         raise FileError("No motion clip: give motion.name=NAME or motion.file=PATH.")

@@ -29,6 +29,8 @@ Axis = Literal["y", "z"]
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048}
 HEAD_BYTES = 4096
+SLOWEST_RATE = 1.0
+"""Frames per second of a motion, at least."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class ReadOptions:
             raise ConfigError(
                 f"motion.rate={self.rate} (--source-rate) is not possible: frames per second are above 0."
             )
+        if self.rate is not None and (why := no_rate(self.rate)):
+            raise ConfigError(f"motion.rate={self.rate} (--source-rate) is not possible: {why}.")
         if isinstance(self.unit, float | int) and not 0.0 < self.unit < math.inf:
             raise ConfigError(
                 f"motion.unit={self.unit} (--unit) is not possible: the metres in a unit are above 0."
@@ -61,6 +65,14 @@ class ReadOptions:
 def metres_of(unit: Unit) -> float:
     """Metres in a `unit` of length."""
     return METRES[unit] if isinstance(unit, str) else float(unit)
+
+
+def no_rate(rate: float) -> str:
+    """Why so many frames per second are none, empty if they may be: the seconds between two of them are often given."""
+    if rate >= SLOWEST_RATE:
+        return ""
+    apart = f"{1.0 / rate:.4g}"
+    return f"frames would be {apart} s apart; if these are the seconds between two, the rate is {apart}"
 
 
 PACKED = {

@@ -155,6 +155,7 @@ class Worlds:
             raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
         if not isinstance(overrides, Sequence) or not all(isinstance(o, str) for o in overrides):
             raise ConfigError(f"overrides={overrides!r} must be a list of texts: ['KEY=VALUE'].")
+        _refuse_overruled(task, num_worlds, overrides)
         self._made_with = (task, num_worlds, tuple(overrides)), {
             "actions": actions, "action_scale": action_scale, "render_mode": render_mode,
             "width": width, "height": height,
@@ -319,6 +320,26 @@ class Worlds:
             return spaces.Box(-np.inf, np.inf, (size,), np.float32)
         return spaces.Dict(
             {name: spaces.Box(-np.inf, np.inf, s, np.float32) for name, s in shapes.items()}
+        )
+
+
+def _refuse_overruled(task: str, num_worlds: int, overrides: Sequence[str]) -> None:
+    """Raise :class:`ConfigError` for `overrides` of what is said beside them: of two, one would be overruled in silence."""
+    words = [override.lstrip("+~").partition("=") for override in overrides]
+    given = {key: value.strip("'\" ") for key, _, value in words}
+    if (worlds := given.get("num_worlds")) not in (None, str(num_worlds)):
+        are = "this is one world" if num_worlds == 1 else f"there are {num_worlds}"
+        raise ConfigError(
+            f"overrides has num_worlds={worlds}, but {are}. Leave it out, and give make_vec, or an adapter, "
+            f"num_envs={worlds or 'N'}."
+        )
+    chosen = given.get("task")
+    if chosen is None and "experiment" in given:
+        chosen = load_experiment(overrides).root.task
+    if chosen not in (None, task):
+        how = "experiment" if "task" not in given else "task"
+        raise ConfigError(
+            f"overrides has {how}={given[how]}, but the task is {task}. Make {chosen or 'the other one'} with these overrides."
         )
 
 

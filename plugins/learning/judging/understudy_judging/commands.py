@@ -14,8 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from understudy.command.command import Command, tell
 from understudy.errors import ConfigError, RunError, UnderstudyError
 from understudy.records import checkpoint, runs
@@ -288,7 +286,8 @@ def _best(run: Run, kept: Sequence[int]) -> int:
         for row in run.metrics():
             value = row.get(figure, row.get(f"{figure}_at_most"))
             if isinstance(value, int | float) and math.isfinite(value):
-                later = [iteration for iteration in kept if iteration >= row["iteration"]]
+                judged = row.get("iteration")
+                later = [i for i in kept if isinstance(judged, int) and i >= judged]
                 if later:  # what it was judged on is in the next one that is kept
                     found[min(later)] = float(value)
         if found:
@@ -305,14 +304,12 @@ def _value(key: str, text: str) -> Any:
             )
         return [int(width), int(height)]
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        value = text
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ConfigError(f"{key}={text} is not possible: it takes a number.")
-    if key == "episodes" and (not isinstance(value, int) or value < 1):
+        value = float(text)  # 010 is ten, as whoever types it has it, and 1e3 a thousand
+    except ValueError as error:
+        raise ConfigError(f"{key}={text} is not possible: it takes a number.") from error
+    if key == "episodes" and not (value.is_integer() and value >= 1):
         raise ConfigError(f"episodes={text} is not possible: it takes a whole number from 1.")
-    return value
+    return int(value) if value.is_integer() else value
 
 
 def _set(config: dict[str, Any], path: str, value: Any) -> None:

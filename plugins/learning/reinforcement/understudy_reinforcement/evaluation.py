@@ -21,31 +21,37 @@ class Measured:
     reduce: str  #: how an episode's values became one
     mean: float
     spread: float  #: standard deviation over episodes
-    low: float  #: of the 95 % interval of the mean
-    high: float
+    low: float | None  #: of the 95 % interval of the mean; None where one value says nothing of it
+    high: float | None
 
     @classmethod
-    def of(cls, reduce: str, values: Tensor) -> Measured:
+    def of(cls, reduce: str, values: Tensor, starts: int | None = None) -> Measured:
         """From one value an episode, (E,); what is not finite is none, as of episodes that went wrong in
-        their first step."""
+        their first step. In how many different states they began, `starts`, is how many tell something new:
+        the interval of a mean is Student's t of so many, mean ± t(0.975, n - 1) · s / √n."""
         values = values[values.isfinite()].double()
         if not len(values):
-            return cls(reduce, *[math.nan] * 4)
-        mean, n = float(values.mean()), len(values)
-        spread = float(values.std()) if n > 1 else 0.0
+            return cls(reduce, math.nan, math.nan, None, None)
+        mean = float(values.mean())
+        spread = float(values.std()) if len(values) > 1 else 0.0
+        n = min(len(values), starts or len(values))
         of_episodes = reduce in ("min", "max", "last") and bool(
             ((values == 0) | (values == 1)).all()
         )
         if reduce == "any" or of_episodes:  # a share: its interval stays between 0 and 1
             return cls(reduce, mean, spread, *wilson_interval(mean, n))
-        reach = 1.96 * spread / math.sqrt(n)
+        if n < 2:
+            return cls(reduce, mean, spread, None, None)
+        from scipy.special import stdtrit  # takes its time
+
+        reach = float(stdtrit(n - 1, 0.975)) * spread / math.sqrt(n)
         return cls(reduce, mean, spread, mean - reach, mean + reach)
 
     def as_json(self) -> dict[str, Any]:
         if math.isnan(self.mean):
             return {"reduce": self.reduce, "mean": None, "spread": None, "mean_95": None}
         found = {"reduce": self.reduce, "mean": self.mean, "spread": self.spread}
-        return {**found, "mean_95": [self.low, self.high]}
+        return {**found, "mean_95": None if self.low is None else [self.low, self.high]}
 
 
 @dataclass(frozen=True)

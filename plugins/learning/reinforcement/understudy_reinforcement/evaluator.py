@@ -17,6 +17,7 @@ from understudy.setup.config import Experiment
 from understudy.task import Context
 from understudy.task.terms import Reduction
 from understudy_reinforcement.evaluation import Evaluation, Measured
+from understudy_reinforcement.long_work import LongWork
 from understudy_reinforcement.policy import Policy
 from understudy_reinforcement.success import success_of
 
@@ -132,21 +133,32 @@ class Evaluator:
         Each of ``evaluation.starts`` is judged beside it, on as many episodes as there are worlds.
         """
         begun: dict[str, Measured] = {}
+        work = LongWork(f"Judging {episodes} episodes")
+        worlds = self.built.environment.num_worlds
+        batches = math.ceil(episodes / worlds)
+        beside = 0 if give_up_below is not None or not self.success else len(self._starts)
+        over = 0  # batches
+
+        def far(share: float) -> None:
+            work.done((over + share) / (batches + beside))
+
         for name, part in reversed(self._starts.items()):  # the first stays, and decides
             self.built.environment.parts.initial_states = part
-            if give_up_below is None and self.success:
-                rows, _ = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
+            if beside:
+                rows, _ = self._batch(policy, f"{draw}/{name}", worlds, far=far)
+                over += 1
                 begun[f"success_from_{name}"] = Measured.of("any", rows["success"].float())
         found: list[dict[str, Tensor]] = []
         states: list[bytes] | None = [] if give_up_below is None else None
         lost = done = 0
         complete = True
         while done < episodes and complete:
-            count = min(self.built.environment.num_worlds, episodes - done)
+            count = min(worlds, episodes - done)
             allowed = math.inf if give_up_below is None else episodes * (1 - give_up_below) - lost
             batch, complete = self._batch(
-                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_period, states
+                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_period, states, far
             )
+            over += 1
             lost += count - int(batch["success"].sum()) if self.success else 0
             done = done + count if complete else episodes  # those that are left could all succeed
             found.append(batch)
@@ -161,6 +173,7 @@ class Evaluator:
                 if term.outcome in outcomes
             }
 
+        different = None if states is None else len(set(states))
         compared = f"measure/{self.options.objective}"
         if self.success is not None:
             compared = "success"
@@ -174,7 +187,7 @@ class Evaluator:
             violated=shares("failure", "report"),
             cut=shares("truncation"),
             measures={
-                name: Measured.of(reducer.reduce, joined[f"measure/{name}"])
+                name: Measured.of(reducer.reduce, joined[f"measure/{name}"], different)
                 for name, reducer in self._reducers.items()
             }
             | begun,
@@ -182,7 +195,7 @@ class Evaluator:
             seconds=self.options.seconds,
             complete=complete,
             unsound=float(joined["unsound"].float().mean()),
-            different_starts=None if states is None else len(set(states)),
+            different_starts=different,
             outcomes=list(zip(states or (), joined[compared].double().tolist(), strict=False)),
             compared=compared.removeprefix("measure/"),
         )
@@ -195,9 +208,10 @@ class Evaluator:
         allowed: float = math.inf,
         on_period: Callable[[Tensor], None] | None = None,
         states: list[bytes] | None = None,
+        far: Callable[[float], None] = lambda share: None,
     ) -> tuple[dict[str, Tensor], bool]:
         """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost. Digests of
-        the states in which they begin are added to `states`."""
+        the states in which they begin are added to `states`; `far` is told what share of the steps is done."""
         environment = self.built.environment
         observations = environment.reset(self._seed, draw)
         if states is not None:
@@ -218,6 +232,7 @@ class Evaluator:
         for step in range(steps):
             action = policy.distribution(observations).mode()
             observations = self._step(action).observations
+            far((step + 1) / steps)
             if step % 30 == 29 and on_period is None and not bool(self._running.any()):
                 break  # all are over, and nobody watches the next ones
             if step % 30 == 29 and allowed < count and not self._within(allowed, count):

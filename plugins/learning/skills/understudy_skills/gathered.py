@@ -15,6 +15,7 @@ from understudy.running.jobs import Job
 from understudy.setup.building import Built
 from understudy.task import Scene, State
 from understudy_reinforcement.evaluation import Evaluation, Measured
+from understudy_reinforcement.long_work import LongWork
 from understudy_skills import bank
 
 __all__ = ["Gathered", "Gathering"]
@@ -26,6 +27,7 @@ class Gathered:
     def __init__(self, wanted: int) -> None:
         self._wanted = wanted
         self._states: dict[str, Tensor] = {}
+        self._work = LongWork("Gathering states")  # since this process began
         self.barren = 0
 
     @property
@@ -45,8 +47,9 @@ class Gathered:
             for name, value in new.items()
         }
 
-    def stage(self) -> str:
-        return f"{min(self.count, self._wanted)} of {self._wanted} states"
+    def stage(self, of: str = "states") -> str:
+        count = min(self.count, self._wanted)
+        return f"{count} of {self._wanted} {of}{self._work.left(count / self._wanted)}"
 
     def evaluation(self) -> Evaluation:
         """How many states there are; they need no other judgement."""

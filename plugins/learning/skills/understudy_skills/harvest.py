@@ -18,6 +18,7 @@ from understudy.records.runs import Run, newest_state
 from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Chosen, Experiment
 from understudy.task import State
+from understudy_reinforcement.long_work import LongWork
 from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import load_part
 from understudy_skills.folder import run_folder
@@ -214,7 +215,9 @@ class Harvest(Gathering):
     def iterate(self, samples: int) -> dict[str, Any]:
         environment, steps = self.environment, self.options.decisions
         seen: dict[str, list[Tensor]] = defaultdict(list)
-        for _ in range(steps):
+        work = LongWork(f"{steps} decisions of {environment.num_worlds} worlds", pause=30.0)
+        for step in range(steps):
+            work.done(step / steps)
             distribution = self.policy.distribution(environment.observations)
             mode = self.options.deterministic
             action = distribution.mode() if mode else distribution.sample(self._streams)

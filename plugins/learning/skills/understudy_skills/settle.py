@@ -14,6 +14,7 @@ from understudy.records.runs import Run
 from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
+from understudy_reinforcement.long_work import LongWork
 from understudy_skills.gathered import Gathered, Gathering
 
 
@@ -54,7 +55,9 @@ class Settle(Gathering):
         environment.begin(torch.ones(count, dtype=torch.bool, device=device))
         still = torch.zeros(count, environment.action_size, device=device)
         gone = torch.zeros(count, dtype=torch.bool, device=device)
-        for _ in range(self._decisions):
+        work = LongWork(f"Settling {count} worlds", pause=30.0)
+        for step in range(self._decisions):
+            work.done(step / self._decisions)
             gone |= environment.advance(still).ended  # which go on, and count no more
         new = {name: environment.table[name][~gone].cpu() for name in self._names}
         self._gathered.add(new)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,8 +25,9 @@ from understudy.setup.plugins import installed
 from understudy.setup.validation import validate
 from understudy.signals import StopRequest
 from understudy_training import processes, watching
+from understudy_training.left_out import leave_out
 
-__all__ = ["judge"]
+__all__ = ["judge", "leave_damaged_rows_out"]
 
 
 def train(overrides: Sequence[str]) -> int:
@@ -69,7 +71,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     with _together(experiment):
         if leading:
             run.lock()
-            _tell_of_damaged_rows(run)
+            leave_damaged_rows_out(run)
         reporter = Reporter(message=tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
@@ -93,15 +95,20 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     return _carry_out(training)
 
 
-def _tell_of_damaged_rows(run: Run) -> None:
-    """Say how many rows of the metrics a crash, or a full disk, cut short: resuming leaves them out."""
-    whole = len(run.metrics())  # also sees to it that it is a file, and of what size
-    if run.metrics_file.exists():
-        with opened(run.metrics_file, 2**34) as file:
-            damaged = sum(bool(line.strip()) for line in file) - whole
-        if damaged > 0:
-            what = "A row is" if damaged == 1 else f"{damaged} rows are"
-            tell(f"{what} damaged in {run.metrics_file} and left out.")
+def leave_damaged_rows_out(run: Run) -> None:
+    """Keep the rows of the metrics that a crash, or a full disk, cut short beside them, and say so: resuming leaves them out."""
+    run.metrics()  # sees to it that it is a file, and of what size
+    if not run.metrics_file.exists():
+        return
+    with opened(run.metrics_file, 2**34) as file:
+        leave_out(run.metrics_file, (line for line in file if not _is_row(line)))
+
+
+def _is_row(line: bytes) -> bool:
+    try:
+        return isinstance(json.loads(line.decode(errors="replace")), dict)
+    except (ValueError, RecursionError):
+        return False
 
 
 @contextlib.contextmanager

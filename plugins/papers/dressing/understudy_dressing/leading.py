@@ -325,7 +325,7 @@ class Lead(Gathering):
                 self._kept[name].append(kept(k))
 
     def stage(self) -> str:
-        return f"{self._gathered.count} of {len(self._states['qpos'])} arms led"
+        return self._gathered.stage("arms led")
 
     def products(self, run: Run) -> None:
         if not self._kept["ends"]:

@@ -14,9 +14,9 @@ from torch import Tensor
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.composition import load_experiment
-from understudy_motion.arguments import positive
 from understudy_play.command import add_page_arguments, film, record, serve
 from understudy_play.player import World
+from understudy_report.video import length, video_file
 
 WALK, LEFT, RIGHT = 0, 1, 2
 #: rad, of the target's azimuth: from the first on it turns in place, until the second is reached. The
@@ -92,10 +92,13 @@ class Follow(Command):
             help="of walk, and of turn_left and turn_right: run folders or skills (default: %(default)s)",
         )  # fmt: skip
         parser.add_argument(
-            "--video", metavar="FILE", type=Path, help="write a video (.mp4) of a square instead"
+            "--video",
+            metavar="FILE",
+            type=video_file,
+            help="write a video (.mp4) of a square instead",
         )
         parser.add_argument(
-            "--seconds", type=positive, default=24.0, help="of the video (%(default)s)"
+            "--seconds", type=length, default=24.0, help="of the video (%(default)s)"
         )
         add_page_arguments(parser)
 

@@ -12,7 +12,7 @@ from understudy.setup.composition import replaced
 from understudy_characters.room_drawing import draw
 from understudy_characters.rooms import read_room
 from understudy_characters.scene import CharacterScene
-from understudy_report.video import write_video
+from understudy_report.video import video_file, write_video
 from understudy_sitting.examples import watch
 from understudy_sitting.room import CHAIR, EXAMPLE, Room, chair_sizes
 from understudy_sitting.trials import SEATED, built_for
@@ -32,7 +32,7 @@ class SitInRoom(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
         add("run", help="a finished run's folder")
-        add("video", type=Path, metavar="OUT", help="such as room.mp4")
+        add("video", type=video_file, metavar="OUT", help="such as room.mp4")
         add("--scene", type=Path, default=EXAMPLE, help="a JSON of boxes and a camera")
         add("--chair", type=int, default=0, help="which of its chairs, from 0")
         add("--plan", action="store_true", help="draw it from above")

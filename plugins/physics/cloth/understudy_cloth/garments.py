@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -164,11 +165,16 @@ def _naming(path: Path) -> Naming:
                 raise FileError(
                     f"{path} is no YAML of a garment: it is nested more than {_DEEPEST} deep."
                 )
+        root = yaml.compose(text, yaml.SafeLoader)
         names = [
-            (key.value, key.start_mark.line + 1)
-            for section in _sections(yaml.compose(text, yaml.SafeLoader))
-            for key in section
+            (key.value, key.start_mark.line + 1) for section in _sections(root) for key in section
         ]
+        for scalar in _scalars(root):
+            if scalar.style is None and scalar.tag in _NUMBERS and _OTHER.match(scalar.value):
+                raise FileError(
+                    f"{path}: {scalar.value} in line {scalar.start_mark.line + 1} is another number to YAML; write it in "
+                    "decimals, without zeros before it."
+                )
         raw = yaml.safe_load(text)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         reason = str(error).partition("\n")[0]
@@ -184,6 +190,21 @@ def _naming(path: Path) -> Naming:
         return make_options(Naming, raw, path.name)
     except UnderstudyError as error:
         raise FileError(str(error)) from error
+
+
+#: What YAML takes for a number to the base 8 or 60, and a reader for another one.
+_OTHER = re.compile(r"[+-]?0[0-9_]|[^:]*:")
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+
+def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
+    """All values within a document without aliases, of a depth that was checked."""
+    if isinstance(node, yaml.ScalarNode):
+        yield node
+    elif isinstance(node, yaml.CollectionNode):
+        for item in node.value:
+            for inner in item if isinstance(item, tuple) else (item,):
+                yield from _scalars(inner)
 
 
 def _sections(node: Any) -> Iterator[list[Any]]:

@@ -85,6 +85,8 @@ class Algorithm1(OuterLoop):
                     )
                 taken |= stages
 
+    alike = Chain.alike
+
     def __init__(self, options: Options, seed: int = 0) -> None:
         self._chain = Chain(Chain.Options(stages_of(options), options.each), seed)
         self.share = 0.0

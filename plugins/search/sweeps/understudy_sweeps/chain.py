@@ -24,6 +24,7 @@ class Chain(OuterLoop):
     """
 
     extendable = ("stages",)
+    alike = False  # a stage may judge for seconds, or train for hours
 
     @dataclass(frozen=True)
     class Options:

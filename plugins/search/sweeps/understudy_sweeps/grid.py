@@ -42,6 +42,10 @@ class Grid(OuterLoop):
         def __post_init__(self) -> None:
             if not self.variants or not self.seeds:
                 raise ValueError("variants and seeds must not be empty.")
+            if twice := [seed for seed in self.seeds if self.seeds.count(seed) > 1]:
+                raise ValueError(
+                    f"seeds has {twice[0]} twice, which is trained once: give another."
+                )
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         variants = {

@@ -6,7 +6,6 @@ finished, and is on the disk before anything follows from it.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import math
@@ -17,13 +16,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from understudy.command.command import tell
 from understudy.errors import ConfigError, RunError
 from understudy.folders import read
 from understudy.records.checkpoint import sync, write_atomically
 from understudy.setup.composition import refuse_resolvers
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of
+from understudy_training.left_out import leave_out
 
 __all__ = ["Journal"]
 
@@ -39,12 +38,10 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path) -> Journal:
-        """The journal at `path`; a row cut short by a crash is left out, and that is said."""
-        journal = cls.read(path)
-        damaged = len(read(path, _MOST).splitlines()) - len(journal.events) if path.exists() else 0
-        if damaged:
-            what = "A row is" if damaged == 1 else f"{damaged} rows are"
-            tell(f"{what} damaged in {path} and left out: what such a row told of is done again.")
+        """The journal at `path`; a row cut short by a crash, or which another version wrote, is left out: it is kept in a file
+        beside, and that is said."""
+        journal, lost = cls._of(path)
+        leave_out(path, lost, ": what such a row told of is done again")
         rows = "".join(_row(event) for event in journal.events).encode()
         if not path.exists() or read(path, _MOST) != rows:
             write_atomically(path, rows)
@@ -59,25 +56,31 @@ class Journal:
         RunError
             if it cannot be read.
         """
-        journal = cls(path)
+        return cls._of(path)[0]
+
+    @classmethod
+    def _of(cls, path: Path) -> tuple[Journal, list[bytes]]:
+        """The journal at `path`, and its rows that are none; errors as :meth:`read`."""
+        journal, lost = cls(path), list[bytes]()
         try:
-            lines = read(path, _MOST).decode(errors="replace").splitlines()
+            lines = read(path, _MOST).splitlines()
         except FileNotFoundError:
-            return journal
+            return journal, lost
         except OSError as error:
             raise RunError(f"{path} cannot be read: {error.strerror}.") from error
         for line in lines:
-            with contextlib.suppress(
-                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError,
-                ConfigError,
-            ):  # fmt: skip
-                row = json.loads(line)
+            try:
+                row = json.loads(line.decode(errors="replace"))
                 asked = row["event"] == "asked"
                 event = trial_of(row["trial"]) if asked else _report(row["report"])
                 if isinstance(event, Trial):
                     refuse_resolvers(event.overrides, "A journal")
                 journal.events.append(event)
-        return journal
+            except (
+                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError, ConfigError,
+            ):  # fmt: skip
+                lost.append(line)
+        return journal, lost
 
     @property
     def asked(self) -> list[Trial]:

@@ -16,10 +16,11 @@ class Progress:
     """Trials done, running and failed, a search's best so far, and the time left.
 
     The time left is from the speed of this process: the share of the outer loop that was done since
-    it began.
+    it began. Where trials are not `alike`, that tells nothing of those to come.
     """
 
-    def __init__(self, plan: Collection[str]) -> None:
+    def __init__(self, plan: Collection[str], alike: bool = True) -> None:
+        self._alike = alike
         self._line = LiveLine("sweep")
         self._plan = plan  #: keys of all trials; none if they are not known
         self._began: tuple[float, float | None] | None = None
@@ -39,9 +40,13 @@ class Progress:
         if self._began is None:
             self._began = (now, share)
         text = describe(journal, self._plan, running, summary)
-        left = time_left(now - self._began[0], self._began[1], share)
-        note = text if left is None else f"{text} · about {clock(left)} left"
-        if not self._line.show(share or 0.0, note) and text != self._told:
+        left = (
+            time_left(now - self._began[0], self._began[1], share)
+            if self._alike and running
+            else None
+        )
+        if not self._line.show(share or 0.0, text, left=left) and text != self._told:
+            note = text if left is None else f"{text} · about {clock(left)} left"
             self._line.console.print(note, soft_wrap=True)
         self._told = text
 

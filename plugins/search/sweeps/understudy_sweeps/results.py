@@ -131,12 +131,16 @@ def shares_of(results: Sequence[Result]) -> frozenset[str]:
     found: dict[str, bool] = {SUCCESS: True, UNSOUND: True}
     for result in results:
         episodes = int(number(result.evaluation.get("episodes")) or 0)
+        trials = min(episodes, int(number(result.evaluation.get("different_starts")) or episodes))
         for name, said in mapping(result.evaluation.get("measures")).items():
             mean, bounds = number(mapping(said).get("mean")), interval(mapping(said).get("mean_95"))
             if mean is not None and bounds is not None:
                 share = 0.0 <= mean <= 1.0 and (
                     mapping(said).get("reduce") == "any"
-                    or math.dist(bounds, wilson_interval(mean, episodes)) < 1e-9
+                    or any(
+                        math.dist(bounds, wilson_interval(mean, n)) < 1e-9
+                        for n in (trials, episodes)
+                    )
                 )
                 found[name] = found.get(name, True) and share
     return frozenset(name for name, share in found.items() if share)

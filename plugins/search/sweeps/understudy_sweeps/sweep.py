@@ -54,6 +54,10 @@ def sweep(overrides: Sequence[str]) -> int:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
     loop: OuterLoop = chosen.build(root.seed)
+    if loop.plan and (seeds := [o for o in overrides if re.match(r"[+~]*seed=", o)]):
+        raise ConfigError(
+            f"{seeds[-1]} is overruled, since variants are trained with outer_loop.seeds. Write seeds=[{seeds[-1].partition('=')[2]}]."
+        )
     compared = _compared(experiment, loop)
     identity = _identity(compared)
     given = tuple(o for o in overrides if not _OWN.match(o))
@@ -69,7 +73,7 @@ def sweep(overrides: Sequence[str]) -> int:
         journal.move(work.folder)
         known = set(journal.finished)
         page = Page(folder, _title(overrides, folder), chosen.effective().get("paper"))
-        with Progress({trial.key for trial in loop.plan}) as progress:
+        with Progress({trial.key for trial in loop.plan}, loop.alike) as progress:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
         page.write(journal, loop.summary(), film=True)

@@ -15,6 +15,7 @@ from urllib.parse import quote
 import torch
 from hydra.core.override_parser.types import Quote, QuotedString
 
+from understudy.command.command import tell
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
 from understudy.folders import read
 from understudy.records import runs
@@ -23,9 +24,12 @@ from understudy.records.runs import Run
 from understudy.running.jobs import Judgement
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import load_experiment, replaced
+from understudy.signals import StopRequest
 from understudy_reinforcement.job import Reinforcement
+from understudy_report.progress import Lines
 from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
+from understudy_training.workflow import leave_damaged_rows_out
 
 __all__ = ["folder_of", "run_trial", "written"]
 
@@ -94,7 +98,8 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
         last = _stopped_at(run)
         stopped = yield from _iterate(trial, training, run, last)
         root = training.experiment.root
-        evaluation, recording = training.judge(root.run.video_seconds)
+        with StopRequest(at_once=True):  # it may take minutes, and can be made again
+            evaluation, recording = training.judge(root.run.video_seconds)
         if recording is not None and recording.tracks:
             recording.save(run.path / "recording.npz")
         run.write_json(JUDGED, evaluation.as_json(training.progress.samples))
@@ -145,7 +150,7 @@ def _stopped_at(run: Run) -> float:
 def overrides_of(trial: Trial, work: Work) -> list[str]:
     """The configuration of the run that the trial is. It is a run like any other, so it has neither
     outer loop nor executor."""
-    own = [*trial.overrides, *(f"{name}={value!r}" for name, value in trial.point.items())]
+    own = [f"{name}={value!r}" for name, value in trial.point.items()]
     if trial.seed is not None:
         own.append(f"seed={trial.seed}")
     if trial.fidelity is not None:
@@ -159,7 +164,14 @@ def overrides_of(trial: Trial, work: Work) -> list[str]:
         "executor=null",
         f"run.dir={written(str(folder_of(trial.key, work.folder)))}",
     ]
-    return replaced(work.overrides, own)
+    keys = {override.partition("=")[0] for override in own}
+    for override in trial.overrides:
+        if (key := override.lstrip("+~").partition("=")[0]) in keys:
+            instead = "give outer_loop.seeds the seeds" if key == "seed" else "leave it out"
+            raise ConfigError(
+                f"{override} is overruled, since a sweep says that of each of its trials: {instead}."
+            )
+    return replaced(work.overrides, [*trial.overrides, *own])
 
 
 def written(value: Any) -> str:
@@ -178,10 +190,11 @@ class _Refused(Exception):
 
 
 def _open(path: Path, trial: Trial, work: Work) -> Training:
-    reporter = Reporter(message=lambda text: print(text, file=sys.stderr))
+    reporter = Reporter(message=tell, observers=[Lines(tell)])
     if (path / "run.json").exists():
         run = runs.open_run(path)
         run.lock()
+        leave_damaged_rows_out(run)
         experiment = run.experiment(config=_config_here(run))
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()

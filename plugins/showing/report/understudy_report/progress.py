@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy_report.by_term import ByTerm
 
-__all__ = ["LiveLine", "clock"]
+__all__ = ["Lines", "LiveLine", "clock"]
 
 #: Seconds between lines where there is no terminal.
 _PAUSE = 10.0
@@ -36,6 +36,17 @@ class _Bar(Progress):
             yield Text(line, no_wrap=True, overflow="ellipsis")
 
 
+class _Left(ProgressColumn):
+    """How long it goes on, which grows less while nothing else is told."""
+
+    def render(self, task: Task) -> Text:
+        ends = task.fields["ends"]
+        if ends is None:
+            return Text()
+        left = ends - time.monotonic()
+        return Text(f"· about {clock(left)} left" if left > 0 else "· longer than before")
+
+
 class LiveLine:
     """A bar, a note beside it and lines below it on a terminal, once started; elsewhere there is none."""
 
@@ -48,18 +59,21 @@ class LiveLine:
     def start(self) -> None:
         if self.console.is_terminal:
             self._bar = _Bar(
-                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
+                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), _Left(),
                 console=self.console, transient=True,
             )  # fmt: skip
             self._bar.start()
-            self._task = self._bar.add_task(self._what, total=1.0, note="")
+            self._task = self._bar.add_task(self._what, total=1.0, note="", ends=None)
 
-    def show(self, share: float, note: str, below: Sequence[str] = ()) -> bool:
-        """Move the bar to that `share`; returns whether there is one."""
+    def show(
+        self, share: float, note: str, below: Sequence[str] = (), left: float | None = None
+    ) -> bool:
+        """Move the bar to that `share`; returns whether there is one. About `left` seconds from now it is over."""
         if self._bar is None:
             return False
         self._bar.below = below
-        self._bar.update(self._task, completed=share, note=note)
+        ends = None if left is None else time.monotonic() + left
+        self._bar.update(self._task, completed=share, note=note, ends=ends)
         return True
 
     def stop(self) -> None:
@@ -86,21 +100,7 @@ class ProgressLine(RunObserver):
     def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
         self._first = self._first or row
         self._terms.add(row)
-        done, left = share(run.config["budget"], row, self._first)
-        ends = ending(run.config, row, left)
-        parts = [
-            f"iteration {row['iteration']}",
-            f"{row['samples']:,} samples",
-            f"{row['samples_per_second']:,.0f}/s",
-        ]
-        if "episode/return" in row:
-            parts.append(f"return {row['episode/return']:.1f}")
-            parts.append(f"episode {row['episode/episode_seconds']:.2f} s")
-        if stage:
-            parts.append(stage)
-        if ends:
-            parts.append(ends)
-        text = " · ".join(parts)
+        done, text = words(run.config, row, self._first, stage)
         console = self._line.console
         below = self._terms.lines(console.width) if console.is_terminal else ()
         if not self._line.show(done, text, below) and time.monotonic() - self._printed > _PAUSE:
@@ -112,6 +112,38 @@ class ProgressLine(RunObserver):
         console = self._line.console
         for text in self._terms.summary(min(console.width, _WIDTH)):
             console.print(text, soft_wrap=True, markup=False)
+
+
+class Lines(RunObserver):
+    """Tells of a long training by a line now and then, as where a sweep has the bar of a terminal."""
+
+    def __init__(self, tell: Callable[[str], None], pause: float = 30.0) -> None:
+        self._tell, self._pause = tell, pause
+        self._told = time.monotonic()
+        self._first: Mapping[str, float] | None = None
+
+    def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
+        self._first = self._first or row
+        if time.monotonic() - self._told > self._pause:
+            self._told = time.monotonic()
+            self._tell(f"{run.path.name}: {words(run.config, row, self._first, stage)[1]}")
+
+
+def words(
+    config: Mapping[str, Any], row: Mapping[str, float], first: Mapping[str, float], stage: str
+) -> tuple[float, str]:
+    """The share of the budget that is spent, and how far the training is; `first` is the row of its first iteration here."""
+    done, left = share(config["budget"], row, first)
+    ends = ending(config, row, left)
+    parts = [
+        f"iteration {row['iteration']}",
+        f"{row['samples']:,} samples",
+        f"{row['samples_per_second']:,.0f}/s",
+    ]
+    if "episode/return" in row:
+        parts.append(f"return {row['episode/return']:.1f}")
+        parts.append(f"episode {row['episode/episode_seconds']:.2f} s")
+    return done, " · ".join([*parts, *filter(None, (stage, ends))])
 
 
 def share(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 from collections.abc import Iterator
@@ -15,7 +16,24 @@ import numpy as np
 
 from understudy.errors import RunError
 
-__all__ = ["write_video"]
+__all__ = ["LONGEST", "length", "video_file", "write_video"]
+
+#: s of a video that a command makes, whose frames are in memory.
+LONGEST = 3600.0
+
+
+def video_file(text: str) -> Path:
+    """An argument's type: the file of a video, whose name says so to whatever is to show it."""
+    if Path(text).suffix.lower() != ".mp4":
+        raise argparse.ArgumentTypeError(f"{text} is no video's name: call it as walk.mp4")
+    return Path(text)
+
+
+def length(text: str) -> float:
+    """An argument's type: seconds of a video."""
+    if not 0.0 < (seconds := float(text)) <= LONGEST:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most {LONGEST:g} s")
+    return seconds
 
 
 def write_video(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:

@@ -15,10 +15,12 @@ from understudy.errors import ConfigError, UnderstudyError, shown
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_credits.walk import answer, open_made
-from understudy_motion.arguments import port, positive
+from understudy_motion.arguments import finite, port
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
+from understudy_reinforcement.long_work import LongWork
 from understudy_report.values import mapping, number
+from understudy_report.video import length, video_file, write_video
 from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
     BITS,
@@ -57,13 +59,13 @@ class Play(Command):
             "without it, those that come with the package are listed",
         )
         parser.add_argument(
-            "--video", metavar="FILE", type=Path, help="write a video (.mp4) instead"
+            "--video", metavar="FILE", type=video_file, help="write a video (.mp4) instead"
         )
         parser.add_argument(
-            "--seconds", type=positive, default=8.0, help="of the video (%(default)s)"
+            "--seconds", type=length, default=8.0, help="of the video (%(default)s)"
         )
         parser.add_argument(
-            "--push", type=float, default=0.0, metavar="NS",
+            "--push", type=finite, default=0.0, metavar="NS",
             help="push the character sideways every 3 s, in newton seconds (video only)",
         )  # fmt: skip
         parser.add_argument(
@@ -235,8 +237,6 @@ def _film(skill: Skill, options: argparse.Namespace) -> int:
 
 def film(world: World, tracks: Mapping[str, np.ndarray], path: Path) -> None:
     """Write what was recorded of `world` (:func:`record`) as a video."""
-    from understudy_report.video import write_video
-
     every = max(1, round(1.0 / (30.0 * world.dt)))
     frames = world.scene.draw({k: v[::every] for k, v in tracks.items()}, _WIDTH, _HEIGHT)
     write_video(path, frames, 1.0 / (every * world.dt))
@@ -244,7 +244,11 @@ def film(world: World, tracks: Mapping[str, np.ndarray], path: Path) -> None:
 
 def record(player: World, seconds: float, push: float = 0.0) -> dict[str, np.ndarray]:
     """What `player` does for `seconds`, by field (T, …), pushed by `push` N s now and then."""
-    frames = list(_frames(player, max(2, round(seconds / player.dt)), push))
+    count, frames = max(2, round(seconds / player.dt)), []
+    work = LongWork(f"Playing {seconds:g} s")
+    for frame in _frames(player, count, push):
+        frames.append(frame)
+        work.done(len(frames) / count)
     return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
 
 

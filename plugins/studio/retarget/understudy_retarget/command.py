@@ -86,7 +86,8 @@ def _pairs(texts: Sequence[str]) -> dict[str, str]:
         ours, equals, theirs = text.partition("=")
         if not (ours and equals and theirs):
             raise ConfigError(f"--map {text} is not possible: it is OURS=THEIRS, two joints.")
-        pairs[ours] = theirs
+        if pairs.setdefault(ours, theirs) != theirs:
+            raise ConfigError(f"--map names {ours} twice: it follows {pairs[ours]} or {theirs}.")
     return pairs
 
 

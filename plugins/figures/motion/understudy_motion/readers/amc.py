@@ -42,7 +42,15 @@ from understudy_motion.readers.guesses import (
     unit_of_height,
 )
 from understudy_motion.readers.text import LARGEST, decoded, is_number, shown, without_comments
-from understudy_motion.reading import METRES, UNSAID, Axis, ClipReader, ReadOptions, metres_of
+from understudy_motion.reading import (
+    METRES,
+    UNSAID,
+    Axis,
+    ClipReader,
+    ReadOptions,
+    metres_of,
+    no_rate,
+)
 from understudy_tensors import rotations
 
 DEFAULT_RATE = 120.0
@@ -405,6 +413,8 @@ def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool | None, float]:
                     f"Clip {path}: line {index + 1}: {shown(said[1])} is no number of frames per second."
                 )
             rate = float(said[1])
+            if why := no_rate(rate):
+                raise FileError(f"Clip {path}: line {index + 1}: {rate:g} is no rate: {why}.")
         elif word and not word.startswith(("#", ":")):
             raise FileError(
                 f"Clip {path}: line {index + 1}: {shown(line.strip())} is no AMC header."

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from understudy.errors import FileError
 from understudy_motion.readers.text import is_number, shown
+from understudy_motion.reading import no_rate
 
 _SAID = re.compile(
     r'\s*"?(?:#|%|//)\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)', re.IGNORECASE
@@ -29,6 +30,8 @@ def rate_of(path: Path, word: str) -> float:
     number = re.sub(r"\s*(hz|fps)$", "", word, flags=re.IGNORECASE).replace(",", ".")
     if not is_number(number) or not 0.0 < float(number) <= 1e6:
         raise FileError(f"Clip {path}: the rate {shown(word)} is no number of frames per second.")
+    if why := no_rate(float(number)):
+        raise FileError(f"Clip {path}: the rate {shown(word)} is none: {why}.")
     return float(number)
 
 

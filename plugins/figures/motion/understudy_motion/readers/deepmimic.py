@@ -65,6 +65,9 @@ OFFSETS: Mapping[str, tuple[str, tuple[float, float, float]]] = {
 }
 """Each joint's parent and where it is in the parent's frame, m, z up: the humanoid of the release."""
 
+SLOWEST = 3.0
+"""s that most frames last at most: more are milliseconds of a slow recording."""
+
 TIPS: Mapping[str, tuple[float, float, float]] = {
     "neck": (0.0, 0.0, 0.28),
     "right_elbow": (0.0, 0.0, -0.259),
@@ -98,6 +101,10 @@ class DeepMimicReader(ClipReader):
             raise FileError(f'Clip {path}: \'Loop\' must be "wrap" or "none".')
         rows = _rows(path, document)
         durations = rows[:-1, 0]
+        if len(durations) and (usual := float(np.median(durations))) > SLOWEST:
+            raise FileError(
+                f"Clip {path}: a frame lasts {usual:g} s, so durations seem to be in milliseconds; write them in seconds."
+            )
         if not (durations > 0.0).all():
             frame = int(np.argmin(durations > 0.0))
             raise FileError(

@@ -32,7 +32,7 @@ from understudy_motion.origin import provenance
 from understudy_motion.readers import turns
 from understudy_motion.readers.frames import check_sizes, to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of, no_rate
 from understudy_tensors import rotations
 
 _SIDES = ("left", "right")
@@ -88,6 +88,10 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "trans": ("transl", "translation", "smpl_trans", "root_trans", "root_translation"),
 }
 """Other names of the arrays."""
+_LENGTH, _MOST_LEFT_OUT = "mocap_time_length", 20.5
+"""How long AMASS' clips last, s; and of how many frames one is left at least."""
+_SAME = 0.005
+"""What equal rates, and equal lengths, differ by at most, of themselves."""
 _SCALE = "smpl_scaling"
 """What AIST++ has ``smpl_trans`` multiplied by, so that it is not in metres."""
 
@@ -164,7 +168,7 @@ class SmplReader(ClipReader):
         translation = places.reshape(num_frames, 3) * metres_of(options.unit or "m") / scale
         high = None if options.unit else translation[:, 1 if options.up == "y" else 2]
         check_sizes(path, vectors, high)
-        rate = options.rate or _rate(path, archive)
+        rate = options.rate or _rate(path, archive, num_frames)
         if options.up is None and _stands_in_y(vectors[:, 0], translation):
             raise FileError(
                 f"Clip {path}: its figure stands in a world with y up, or lies in one with z up; give motion.up=y or z "
@@ -293,20 +297,49 @@ def _single(shape: tuple[int, ...]) -> int | None:
     return shape[:2].index(1) if len(shape) == 3 and 1 in shape[:2] else None
 
 
-def _rate(path: Path, archive: Archive) -> float:
+def _rate(path: Path, archive: Archive, frames: int) -> float:
     lower = {name.lower(): name for name in archive.names}
-    name = next((lower[name] for name in RATES if name in lower), None)
-    if name is None:
+    names = [lower[name] for name in RATES if name in lower]
+    if not names:
         raise FileError(
             f"Clip {path}: it does not say its frame rate; give motion.rate (--source-rate)."
         )
     try:
-        rate = archive.number(name)
+        found = {name: archive.number(name) for name in names}
     except FileError as error:
         raise FileError(f"{error} Or give motion.rate (--source-rate).") from error
-    if not 0.0 < rate <= 1e6:
-        raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")
+    for name, rate in found.items():
+        if not 0.0 < rate <= 1e6:
+            raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")
+        if why := no_rate(rate):
+            raise FileError(
+                f"Clip {path}: '{name}' is {rate:g}, and {why}. Or give motion.rate (--source-rate)."
+            )
+    rate = found[names[0]]
+    if max(found.values()) > (1.0 + _SAME) * min(found.values()):
+        said = ", ".join(f"{name} {rate:g}" for name, rate in found.items())
+        raise FileError(
+            f"Clip {path}: it says two frame rates, {said}; give motion.rate (--source-rate), the right one."
+        )
+    _check_length(path, archive, frames, rate)
     return rate
+
+
+def _check_length(path: Path, archive: Archive, frames: int, rate: float) -> None:
+    """Refuse a clip that lasts a whole number of times less than its length, s: of its frames each second or fourth was
+    kept, say, and the rate is that of all. One that was cut shorter is so by any other number."""
+    try:
+        length = archive.number(_LENGTH) if _LENGTH in archive.names else 0.0
+    except FileError:  # nothing else is taken from it
+        return
+    times = length * rate / max(frames, 1)
+    whole = round(times) if times < _MOST_LEFT_OUT else 0
+    if whole >= 2 and abs(times - whole) <= _SAME * whole + whole**2 / frames < 0.25:
+        raise FileError(
+            f"Clip {path}: its {frames} frames at {rate:g} a second last {frames / rate:.4g} s, and its {_LENGTH} is "
+            f"{length:.4g} s, as if one frame of {whole} were left; give motion.rate (--source-rate), {rate / whole:.4g} "
+            f"if that is so, else {rate:g}."
+        )
 
 
 def _stands_in_y(vectors: np.ndarray, places: np.ndarray) -> bool:

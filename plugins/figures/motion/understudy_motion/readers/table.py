@@ -14,7 +14,7 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons, tabs, bars or blanks may
 stand between the columns, decimal commas in numbers; columns without a name, and those of row numbers, are left out.
 A column's name, or a row of units below the names, may say another unit, ``root.px [cm]``, ``knee.rx [deg]``,
-``time [ms]``. Times begin at the first frame's, and may be dates and times of ISO 8601, a clock's, or counts of
+``time [ms]``; times a second or more apart need that. Times begin at the first frame's, and may be dates and times of ISO 8601, a clock's, or counts of
 milli-, micro- or nanoseconds since 1970.
 """
 
@@ -47,7 +47,7 @@ from understudy_motion.readers.frames import check_sizes
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.readers.text import decoded, number_rows, shown
 from understudy_motion.readers.times import is_plain_time, since_first
-from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
+from understudy_motion.reading import SLOWEST_RATE, UNSAID, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 FORMAT = "understudy.clip"
@@ -169,7 +169,7 @@ class CsvReader(ClipReader):
             fields["licence"] = said["licence"][:MAX_RECORD_LINE]
         return Clip(
             name=path.stem,
-            times=_times(path, rows, columns, said, options),
+            times=_times(path, rows, columns, said, options, stated or _says_unit(names)),
             root_position=torch.from_numpy(places),
             rotations=torch.stack([_rotation(values) for values in turns], dim=1),
             joint_names=tuple(joints),
@@ -336,10 +336,18 @@ def _times(
     columns: Sequence[str],
     said: dict[str, str],
     options: ReadOptions,
+    seconds: bool,
 ) -> torch.Tensor:
+    """(F,) s, of the first 0; `seconds` says whether the file has its unit of times."""
     rate = options.rate
     if "time" in columns and rate is None:
         times = rows[:, columns.index("time")]
+        usual = float(np.median(np.diff(times))) if len(times) > 2 else 0.0
+        if not seconds and usual * SLOWEST_RATE >= 1.0:
+            raise FileError(
+                f"Clip {path}: its times are {usual:.4g} s apart. If they are no seconds, say what they are, as 'time [ms]' "
+                "or 'frame' in their column's name, the latter with '# rate: 30' above; if they are, 'time [s]'."
+            )
         return torch.from_numpy(times - times[:1])
     if rate is None:
         if "rate" not in said:
@@ -349,6 +357,13 @@ def _times(
             )
         rate = rate_of(path, said["rate"])
     return torch.arange(len(rows), dtype=torch.float64) / rate
+
+
+def _says_unit(names: Sequence[str]) -> bool:
+    """Whether the column of times, among these `names`, says its unit."""
+    return any(
+        plain_name(name) == "time" and re.search(r"[\[(_/ ]|seconds", name) for name in names
+    )
 
 
 def _loop(path: Path, said: dict[str, str]) -> bool:

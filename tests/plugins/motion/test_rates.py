@@ -1,0 +1,147 @@
+"""Frames per second are no seconds, and seconds no milliseconds: a clip that would last hours is asked about, whatever its
+format; it was read, as a motion in extreme slow motion."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from motion_files import WRITE, amc_text, smpl_arrays, write_amc
+
+import understudy_motion
+from understudy.errors import ConfigError, FileError, UnderstudyError
+from understudy.setup.registry import Registrar, Registry
+from understudy_motion.reading import ReadOptions, read_clip
+
+NAMED = "root.px,root.py,root.pz,root.qw,root.qx,root.qy,root.qz,knee.rx,knee.ry,knee.rz\n"
+FRAME = "0,0,1,1,0,0,0,0.1,0,0\n"
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    made = Registry()
+    Registrar(made, "motion").tables(understudy_motion)
+    return made
+
+
+def table(time: str, *times: object) -> str:
+    return f"{time},{NAMED}" + "".join(f"{t},{FRAME}" for t in times)
+
+
+def _amc(folder: Path, rate: float) -> Path:
+    path = write_amc(folder)
+    path.write_text(amc_text().replace(":DEGREES", f":SAMPLES-PER-SECOND {rate}\n:DEGREES"))
+    return path
+
+
+def _csv(folder: Path, rate: float) -> Path:
+    (folder / "a.csv").write_text(f"# rate: {rate}\n{NAMED}{FRAME * 6}")
+    return folder / "a.csv"
+
+
+def _robot(folder: Path, rate: float) -> Path:
+    (folder / "a.csv").write_text(f"# rate: {rate}\n" + "0,0,0.8,0,0,0,1,0.1,0.2\n" * 6)
+    return folder / "a.csv"
+
+
+def _smpl(folder: Path, rate: float) -> Path:
+    np.savez(folder / "a.npz", **{**smpl_arrays(), "mocap_framerate": rate})
+    return folder / "a.npz"
+
+
+def _deepmimic(folder: Path, rate: float) -> Path:
+    path = WRITE["deepmimic"](folder)
+    content = json.loads(path.read_text())
+    for frame in content["Frames"]:
+        frame[0] = 1.0 / rate
+    path.write_text(json.dumps(content))
+    return path
+
+
+SAYS: dict[str, Callable[[Path, float], Path]] = {
+    "amc": _amc, "csv": _csv, "robot": _robot, "smpl": _smpl, "deepmimic": _deepmimic,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAYS)
+@pytest.mark.parametrize("seconds", [1 / 30, 1 / 120, 0.02])
+def test_the_seconds_between_two_frames_are_no_rate(
+    tmp_path: Path, registry: Registry, name: str, seconds: float
+) -> None:
+    """Where frames per second belong; in DeepMimic's files, where seconds belong, these are milliseconds."""
+    clip = read_clip(SAYS[name](tmp_path, 1.0 / seconds), registry)
+    assert clip.frame_rate == pytest.approx(1.0 / seconds, rel=1e-4)
+    with pytest.raises(FileError, match=r"apart|milliseconds"):
+        read_clip(SAYS[name](tmp_path, seconds), registry)
+
+
+@pytest.mark.parametrize("rate", [1 / 30, 1 / 120, 0.5])
+def test_nor_are_they_one_that_is_given(rate: float) -> None:
+    with pytest.raises(ConfigError, match=f"the rate is {1 / rate:.4g}"):
+        ReadOptions(rate=rate)
+    assert ReadOptions(rate=1.0 / rate).rate
+
+
+@pytest.mark.parametrize(
+    ("step", "says"), [(33, "33 s apart"), (1, "1 s apart"), (33_333, "s apart"), (8.3, "8.3 s")]
+)
+def test_times_without_a_unit_that_are_no_seconds_are_asked_about(
+    tmp_path: Path, registry: Registry, step: float, says: str
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table("time", *(step * n for n in range(6))))
+    with pytest.raises(FileError, match=says):
+        read_clip(path, registry)
+
+
+@pytest.mark.parametrize(
+    ("text", "duration"),
+    [
+        (table("time [ms]", 0, 33, 66, 99), 0.099),
+        (table("time_ms", 0, 33, 66, 99), 0.099),
+        (table("time [s]", 0, 2, 4, 6), 6.0),
+        (f"# units: m, s\n{table('time', 0, 2, 4, 6)}", 6.0),
+        (f"# rate: 30\n{table('frame', 0, 1, 2, 3)}", 0.1),
+        (table("time", 0, 0.03, 0.06, 30), 30.0),
+        (table("time", 0, 5), 5.0),
+    ],
+    ids=["ms", "_ms", "s", "units", "numbers", "a gap", "two poses"],
+)
+def test_times_that_say_what_they_are(
+    tmp_path: Path, registry: Registry, text: str, duration: float
+) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    assert read_clip(tmp_path / "a.csv", registry).duration == pytest.approx(duration)
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"mocap_framerate": 120.0, "fps": 30}, "two frame rates, mocap_framerate 120, fps 30"),
+        ({"fps": 60.0, "mocap_time_length": 4.0}, "one frame of 2 were left; .* 30 if that"),
+        ({"fps": 120.0, "mocap_time_length": 4.001}, "one frame of 4 were left"),
+        ({"fps": 120.0, "mocap_time_length": 1.0}, ""),
+        ({"fps": 120.0, "mocap_time_length": 2.43}, ""),  # cut, not thinned out
+        ({"fps": 120.0, "mocap_time_length": "long"}, ""),
+        ({"fps": 30.0, "mocap_framerate": 30}, ""),
+    ],
+)
+def test_rates_that_contradict_what_else_is_said(
+    tmp_path: Path, registry: Registry, more: dict[str, Any], says: str
+) -> None:
+    """Of clips of AMASS each fourth frame is kept, and the rate stays: then they are four times as fast."""
+    arrays = smpl_arrays(frames=120)
+    del arrays["mocap_framerate"]
+    path = tmp_path / "a.npz"
+    np.savez(path, **arrays, **more)
+    if not says:
+        assert read_clip(path, registry).frame_rate == pytest.approx(more["fps"])
+        return
+    with pytest.raises(UnderstudyError, match=says):
+        read_clip(path, registry)
+    given = read_clip(path, registry, ReadOptions(rate=30.0))
+    assert given.frame_rate == pytest.approx(30.0)
