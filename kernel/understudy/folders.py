@@ -43,7 +43,7 @@ def check_within(folder: Path) -> None:
                                 )
                         elif not stat.S_ISREG(mode):
                             raise RunError(
-                                f"{entry.path} is neither file nor folder. Name a folder without such."
+                                f"{entry.path} is neither file nor folder. Name another folder."
                             )
     except OSError as error:
         raise RunError(f"{folder} cannot be read: {error.strerror}.") from error

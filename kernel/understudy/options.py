@@ -18,9 +18,17 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED", "Option", "as_yaml", "at", "check_range", "checked_options", "in_words", "make_options",
-    "options_of", "schema_of",
-]  # fmt: skip
+    "REQUIRED",
+    "Option",
+    "as_yaml",
+    "at",
+    "check_range",
+    "checked_options",
+    "in_words",
+    "make_options",
+    "options_of",
+    "schema_of",
+]
 
 
 @dataclass(frozen=True)
@@ -177,8 +185,8 @@ def plain(value: Any) -> Any:
 
 
 def as_typed(value: Any, text: str) -> Any:
-    """`value`, with the `text` where it is a number or a truth value that does not say it. What YAML alone takes for
-    another number than a reader does (``010`` for 8, ``1:30`` for 90) is text."""
+    """`value`, with the `text` where it is a number or a truth value that does not say it. What YAML
+    alone takes for another number than a reader does (``010`` for 8, ``1:30`` for 90) is text."""
     if type(value) in (int, float) and re.match(r"[+-]?0[0-9_]|[^:]*:", text):
         return text
     says = type(value) not in (bool, int, float) or as_yaml(value) == text
@@ -288,7 +296,8 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are errors."""
+    """`values` coerced to the types of `options`, and their defaults;
+    unknown and missing ones are errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

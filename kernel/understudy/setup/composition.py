@@ -25,9 +25,15 @@ from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "options", "refuse_resolvers", "replaced",
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "options",
+    "refuse_resolvers",
+    "replaced",
     "split_overrides",
-]  # fmt: skip
+]
 
 
 @contextlib.contextmanager
@@ -186,7 +192,8 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
     if isinstance(error, RecursionError):
-        return f"{' '.join(overrides)[:200]}: a file of these options builds on itself, or is nested too deep."
+        words = " ".join(overrides)[:200]
+        return f"{words}: a file of these options builds on itself, or is nested too deep."
     text = next(iter(str(error).replace(MARK, "").strip().splitlines()), "").rstrip()
     unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
     if unset:

@@ -98,7 +98,10 @@ def unknown_key(key: str, registry: Registry) -> str:
     groups = [o for o in options_of(Root).values() if dataclasses.is_dataclass(o.annotation)]
     meant = [f"{o.name}.{key}" for o in groups if key in options_of(o.annotation)]
     if key == "experiment":  # what an experiment's file says, put where that file is
-        return "An experiment's file, with all that it sets, begins with '# @package _global_', and this one does not."
+        return (
+            "An experiment's file, with all that it sets, begins with '# @package _global_', and "
+            "this one does not."
+        )
     found = suggestion(key, meant or root_keys(registry) | {"experiment"})
     part = f" An option of a part is written as PART.{key}." if "Known" in found else ""
     return f"There is no configuration key '{key}'.{found}{part}"
