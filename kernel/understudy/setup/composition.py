@@ -20,7 +20,7 @@ from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import MARK, compose, parsed
-from understudy.setup.plugins import Plugins, installed
+from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
@@ -212,11 +212,10 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
             form = f"{{NAME: {one}}}" if slot.many else one
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
         return unknown_key(stray[1], plugins.registry)
-    if unknown := re.search(r"Interpolation key '([^']*)' not found", text):
-        return (
-            f"${{{unknown[1]}}} takes the value of a key, and there is none of this name. "
-            f"As text it has a backslash: \\${{{unknown[1]}}}."
-        )
+    for line in (kernel_conf() / "hydra_errors.txt").read_text(encoding="utf-8").splitlines():
+        theirs, _, ours = line.partition(" -> ")
+        if found := re.search(theirs, text):
+            return found.expand(ours)
     return text or type(error).__name__
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -109,3 +110,20 @@ def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
     """As those who know Hydra write it: the number was text, and refused as such."""
     key = word.lstrip("+").partition("=")[0]
     assert compose_raw(["experiment=miniature/go", word])[key] == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["+run.dir=a", "+run.dir=b"], "run.dir has a value already. Write run.dir=VALUE, without +."),
+        (["++learner=ppo"], "learner chooses a file. Write learner=ppo, without +."),
+        (["+learner=trpo"], "learner is chosen already. Write learner=NAME once, without +."),
+        (["~learner=trpo"], "~learner=trpo leaves nothing out: that is not chosen."),
+        (["~num_worlds=3"], "~num_worlds leaves nothing out: nothing that was chosen sets num_worlds."),
+        (["budget.samples=5", "~budget.samples=7"], "~budget.samples=7 leaves nothing out: budget.samples is 5."),
+        (["seed=${abc}"], "${abc} takes the value of a key, and there is none of this name."),
+    ],
+)  # fmt: skip
+def test_what_hydra_says_is_said_in_our_words(words: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{re.escape(said)}"):
+        compose_raw(["task=miniature/go", *words])
