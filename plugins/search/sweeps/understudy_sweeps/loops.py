@@ -56,9 +56,8 @@ class OuterLoop(ABC):
     plan: Sequence[Trial] = ()  #: all trials, where they are known: checked before the first starts
     measures: Sequence[str] = ()  #: that it needs of each report: looked for before the first trial
     share: float | None = None  #: of the loop that is done, where that can be said
-    alike: bool = (
-        True  #: whether as much of it takes as long again, so that the time left can be told
-    )
+    #: Whether as much of it takes as long again, so that the time left can be told.
+    alike: bool = True
 
     @abstractmethod
     def ask(self, number: int) -> Trial | None:
