@@ -60,9 +60,13 @@ GIVEN = {
     "dressing/gown": ("scenes.cloth.file=RUNS/gown.yaml",),
     "dressing/gown_gripper": ("scenes.cloth.file=RUNS/gown.yaml", "actuation.run=RUNS/dressed"),
     "dressing/shirt_sleeve_led": ("initial_states.file=RUNS/led/ends",),
+    "dressing/shirt_finish_led": ("initial_states.file=RUNS/led/ends",),
+    "dressing/shirt_regrip_led": ("initial_states.file=RUNS/led/ends",),
     "dressing/shirt_sleeve_larger_led": ("initial_states.file=RUNS/led/ends",),
+    "dressing/shirt_sleeve_second_larger_led": ("initial_states.file=RUNS/led/ends",),
     "dressing/shirt_sleeve_second_led": ("initial_states.file=RUNS/led/ends",),
     "dressing/shirt_tuck_led": ("initial_states.file=RUNS/led/tucks",),
+    "dressing/shirt_tuck_second_led": ("initial_states.file=RUNS/led/tucks",),
     "dressing/gripper": ("actuation.run=RUNS/dressed",),
     "dressing/shirt": (
         "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",

@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from understudy.command.cli import main
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_dressing.leading import PORTIONS, Led
-from understudy_dressing.person import PersonScene
-from understudy_dressing.shirt import DRESSED, ShirtScene
+from understudy_dressing.leading import Lead, LeadGrip
+from understudy_dressing.led import Led
+from understudy_dressing.person import PersonScene, neutral_pose
+from understudy_dressing.shirt import _HELD_AT, DRESSED, TRUNK, ShirtScene
 from understudy_dressing.terms import AlongWay
 from understudy_skills import bank
 from understudy_sweeps.film import scene_of
@@ -34,14 +36,19 @@ LEAD = [
 ]
 
 
+def _states(pose: np.ndarray, cloth: np.ndarray, count: int = 1) -> dict[str, Tensor]:
+    """Of a bank: so many of this one, at rest."""
+    qpos = torch.cat([torch.tensor(pose), torch.zeros(3)]).float().expand(count, -1).clone()
+    position = torch.tensor(cloth).float().expand(count, -1, -1).clone()
+    return {"qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": position, "cloth_velocity": torch.zeros_like(position)}  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def starts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bank of hands in the sleeve's mouth, from which the way is short; the first is held out."""
-    pose, cloth = (torch.from_numpy(one).float() for one in SHIRT.settled("in_sleeve", "left"))
-    qpos = torch.cat([pose, torch.zeros(3)]).expand(3, -1).clone()
-    states = {"qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": cloth.expand(3, -1, -1).clone()}  # fmt: skip
-    states["cloth_velocity"] = torch.zeros_like(states["cloth_position"])
-    qpos[:, 5] = torch.tensor([0.0, 0.01, 0.02])  # the head turned, by which they are told apart
+    states = _states(*SHIRT.settled("in_sleeve", "left"), count=3)
+    # the head turned, by which they are told apart
+    states["qpos"][:, 5] = torch.tensor([0.0, 0.01, 0.02])
     path = tmp_path_factory.mktemp("starts") / "bank"
     bank.save(path, states, {}, SHIRT)
     return path
@@ -55,7 +62,7 @@ def run(starts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_leaves_states_of_the_way_and_what_follows(run: Path) -> None:
-    found = {name: bank.load(run / name) for name in PORTIONS if (run / name).is_dir()}
+    found = {name: bank.load(run / name) for name in Lead.portions if (run / name).is_dir()}
     assert {"ends", "out"} <= found.keys()
     ends = found["ends"]
     assert ends["qpos"][:, 5].tolist() == pytest.approx([0.01, 0.02]), "not the one held out"
@@ -79,10 +86,7 @@ def test_a_film_shows_the_members_of_a_run_that_has_several(run: Path) -> None:
 def test_the_second_arm_is_led_while_the_first_is_dressed(tmp_path: Path) -> None:
     """From its sleeve's mouth out to the other side, by the mirror image of the first one's way."""
     pose, cloth = SHIRT.settled("in_sleeve", "right", other_dressed=True)
-    qpos = torch.cat([torch.from_numpy(pose).float(), torch.zeros(3)])[None]
-    position = torch.from_numpy(cloth).float()[None]
-    states = {"qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": position, "cloth_velocity": torch.zeros_like(position)}  # fmt: skip
-    bank.save(tmp_path / "bank", states, {}, SHIRT)
+    bank.save(tmp_path / "bank", _states(pose, cloth), {}, SHIRT)
     words = ["experiment=dressing/shirt_sleeve_second", "job.side=right", "job.count=1"]
     given = [word for word in LEAD if not word.startswith("experiment=")]
     assert main([*given, *words, f"job.bank={tmp_path}/bank", f"run.dir={tmp_path}/run"]) == 0
@@ -90,6 +94,45 @@ def test_the_second_arm_is_led_while_the_first_is_dressed(tmp_path: Path) -> Non
     out = Led(SHIRT, "right", pose, cloth).bent({"right": DRESSED})
     assert np.allclose(way[-1, 14:], out[14:], atol=1e-5)
     assert np.allclose(way[:, 6:14], way[:1, 6:14], atol=1e-5), "the arm that holds is still"
+
+
+def test_the_dressed_arms_hand_is_led_to_the_hem(tmp_path: Path) -> None:
+    bank.save(tmp_path / "bank", _states(*SHIRT.settled("dressed", "left")), {}, SHIRT)
+    words = ["train", "experiment=dressing/shirt_regrip", "job=dressing/lead_grip", "job.count=1", "job.speed=2.0", *SMALL]  # fmt: skip
+    assert main([*words, f"job.bank={tmp_path}/bank", f"run.dir={tmp_path}/run"]) == 0
+    found = {name: bank.load(tmp_path / "run" / name) for name in LeadGrip.portions}
+    (taken,), (cloth,) = found["taken"]["qpos"], found["taken"]["cloth_position"]
+    assert torch.allclose(found["ends"]["way"][0, -1], taken[:22])
+    arm = Led(SHIRT, "left", taken[:22].double().numpy(), cloth.double().numpy())
+    assert arm.grip(0.0) < 0.05, "the grip's own distance"
+    assert arm.place(0).progress > 0.6, "and the arm is still in its sleeve"
+    far, near = (found[name]["way"][:, 0] - taken[:22] for name in ("far", "near"))
+    assert far.norm(dim=1).min() > near.norm(dim=1).max()
+
+
+def test_a_dressed_person_is_led_to_the_neutral_pose(tmp_path: Path) -> None:
+    pose, cloth = SHIRT.settled("dressed", "right", other_dressed=True)
+    bank.save(tmp_path / "bank", _states(pose, cloth), {}, SHIRT)
+    words = ["train", "experiment=dressing/shirt_finish", "job=dressing/lead_rest", "job.count=1", "job.seconds=0.8", *SMALL]  # fmt: skip
+    assert main([*words, f"job.bank={tmp_path}/bank", f"run.dir={tmp_path}/run"]) == 0
+    neutral = neutral_pose(PersonScene(PersonScene.Options()))
+    assert torch.allclose(bank.load(tmp_path / "run/rested")["qpos"][0, :22], neutral, atol=1e-6)
+    ends = bank.load(tmp_path / "run/ends")
+    assert torch.equal(ends["qpos"][0, :22], torch.tensor(pose).float())
+    assert torch.allclose(ends["way"][0, -1], neutral, atol=1e-6)
+
+
+def test_a_place_is_reached_with_the_trunk_as_it_is_or_upright() -> None:
+    pose, cloth = SHIRT.settled("dressed", "left")
+    pose = pose.copy()
+    pose[:TRUNK] += 0.1
+    arm = Led(SHIRT, "left", pose, cloth)
+    place = np.array(_HELD_AT)
+    for upright, trunk in ((False, pose[:TRUNK]), (True, neutral_pose(PersonScene(PersonScene.Options()))[:TRUNK])):  # fmt: skip
+        found = arm.reached("right", place, upright=upright)
+        assert np.allclose(found[:TRUNK], trunk, atol=1e-6)
+        arm.go(found, 1.0, pose)
+        assert np.linalg.norm(arm.bones("right")[0] - place) < 0.03
 
 
 @pytest.mark.slow
@@ -102,11 +145,7 @@ def test_a_larger_shirt_in_more_substeps_hardly_tears(tmp_path: Path) -> None:
     ]
     members = load_experiment([*words, "job.bank=any"]).many("scenes")
     scene = ShirtScene(next(one.options for one in members if one.name == "cloth"))
-    pose, cloth = (torch.from_numpy(one).float() for one in scene.settled("held", "left"))
-    qpos = torch.cat([pose, torch.zeros(3)]).expand(2, -1).clone()
-    states = {"qpos": qpos, "qvel": torch.zeros_like(qpos), "cloth_position": cloth.expand(2, -1, -1).clone()}  # fmt: skip
-    states["cloth_velocity"] = torch.zeros_like(states["cloth_position"])
-    bank.save(tmp_path / "bank", states, {}, scene)
+    bank.save(tmp_path / "bank", _states(*scene.settled("held", "left"), count=2), {}, scene)
     words += ["device=cpu", "simulators.person.name=mujoco", "num_worlds=1", "run.video_seconds=0", "job.count=1"]  # fmt: skip
     held = ["job.held=true", f"job.bank={tmp_path}/bank", f"run.dir={tmp_path}/run"]
     assert main(["train", *words, *held]) == 0
@@ -156,11 +195,21 @@ def test_the_reward_by_hand() -> None:
 
 @pytest.mark.parametrize(
     "search",
-    ["shirt_sleeve_led", "shirt_sleeve_second_led", "shirt_larger_led", "shirt_sleeve_larger_led"],
+    [
+        "shirt_sleeve_led",
+        "shirt_sleeve_second_led",
+        "shirt_larger_led",
+        "shirt_sleeve_larger_led",
+        "shirt_larger_second_led",
+    ],
 )
 def test_the_whole_search_composes(search: str, tmp_path: Path) -> None:
     load_experiment([f"search=dressing/{search}", f"run.dir={tmp_path}/led"])
-    experiment = "shirt_tuck_led" if search == "shirt_larger_led" else search
+    others = {
+        "shirt_larger_led": "shirt_tuck_led",
+        "shirt_larger_second_led": "shirt_tuck_second_led",
+    }
+    experiment = others.get(search, search)
     load_experiment([f"experiment=dressing/{experiment}", f"initial_states.file={tmp_path}/bank"])
 
 
@@ -170,6 +219,7 @@ def test_the_whole_search_composes(search: str, tmp_path: Path) -> None:
         (["job.bank=nowhere"], "The bank nowhere.json cannot be used"),
         (["job.bank=BANK", "scenes.cloth.edge=0.03"], "does not fit this task"),
         (["job.bank=BANK", "job.count=0"], "count=0"),
+        (["job.bank=BANK", "job.taken=true"], "taken=true is not possible"),
         (
             ["job.bank=BANK", "experiment=dressing/sleeve_small", "scenes.cloth.substeps="],
             "ShirtScene",

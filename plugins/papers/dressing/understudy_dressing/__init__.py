@@ -40,6 +40,8 @@ PARTS = {
     },
     "job": {
         "dressing/lead": ("leading:Lead", "leads arms from under the hem into the sleeve"),
+        "dressing/lead_grip": ("leading:LeadGrip", "leads a dressed arm's hand to the hem"),
+        "dressing/lead_rest": ("leading:LeadRest", "leads a dressed person to the neutral pose"),
     },
     "reward": {
         "dressing/along_way": ("terms:AlongWay", "how near the pose is to one that was led"),

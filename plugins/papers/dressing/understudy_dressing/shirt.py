@@ -66,6 +66,7 @@ _APART, _WEIGHT = 0.003, 3.0
 #: s: until the shirt hangs; a hand on its way; until it hangs again.
 _SETTLES, _GOES, _HANGS = 0.8, 0.6, 0.4
 PERIOD = 0.01
+TRUNK = 3  #: hinges, which come first: those of a pose that are the trunk's
 
 
 class ShirtScene(CutGarment):
@@ -107,6 +108,11 @@ class ShirtScene(CutGarment):
     def collar(self) -> np.ndarray:
         """Vertices in order, turning so that the head goes through along the thumb."""
         return self.turned(self.garment.loops["collar"], (0.0, 0.0, 1.0))
+
+    def hem(self, hand: Side) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (P,) of the patch of the front hem that this hand grips, and the faces (F, 3) that have one of them."""
+        patch = self.garment.patches[f"{hand}_hem"]
+        return patch, self.faces[np.isin(self.faces, patch).any(axis=1)]
 
     @cached_property
     def begins(self) -> np.ndarray:
@@ -314,16 +320,21 @@ class Moves:
             self._step(begin + share * share * (3 - 2 * share) * (end - begin), closed)
         self._pose = end
 
-    def reached(self, side: Side, target: np.ndarray) -> np.ndarray:
-        """The pose (22,) rad whose fingertip of that arm is as near to a place, m, as can be."""
+    def reached(self, side: Side, target: np.ndarray, upright: bool = False) -> np.ndarray:
+        """The pose (22,) rad whose fingertip of that arm is as near to a place, m, as can be; with the trunk as it is, or neutral
+        where it is to be `upright`."""
         mine = self._arm(side)
         ranges = self._body.jnt_range[mine]
         free = ~self._body.jnt_limited[mine].astype(bool)
         low, high = (np.where(free, sign * 2.0, ranges[:, k]) for k, sign in enumerate((-1, 1)))
         hand = self._body.body(f"{side}_hand").id
 
+        end = self._pose.copy()
+        if upright:
+            end[:TRUNK] = self._neutral[:TRUNK]
+
         def off(q: np.ndarray) -> np.ndarray:
-            pose = self._pose.copy()
+            pose = end.copy()
             pose[mine] = q
             self._place(pose)
             tip = self._data.xpos[hand] + self._data.xmat[hand].reshape(3, 3) @ np.array(TIP)
@@ -333,7 +344,6 @@ class Moves:
                 [tip - target, 0.01 * (q - self._neutral[mine]), [_WEIGHT * near]]
             )
 
-        end = self._pose.copy()
         inside = np.clip(end[mine], low + 1e-3, high - 1e-3)
         end[mine] = least_squares(off, inside, bounds=(low, high), diff_step=1e-4).x
         return end

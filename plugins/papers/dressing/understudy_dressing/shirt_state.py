@@ -46,6 +46,15 @@ def under_hem(
     return torch.where(below, counts, torch.where(above, -1.0, -away)), below
 
 
+def grip_target(cloth: Tensor, patch: Tensor, around: Tensor) -> Tensor:
+    """(N, 3) m: where a hand grips a hem of `cloth` (N, V, 3) m: so far outside of the middle of its vertices `patch` (P,), along
+    the normal of the faces `around` (F, 3) them, which have them as corners."""
+    a, b, c = (cloth[:, around[:, k]] for k in range(3))
+    normal = torch.linalg.cross(b - a, c - a).sum(dim=1)
+    normal = torch.nn.functional.normalize(normal, dim=1)
+    return cloth[:, patch].mean(dim=1) + _OUTSIDE * normal
+
+
 class ShirtState(Fields):
     """What subtasks of section 8.1 are about, each field of one number (N,) unless its shape is given.
 
@@ -105,9 +114,8 @@ class ShirtState(Fields):
         self._neck = places(*_NECK)
         self._torso = places(("torso", (0, 0, 0)), ("torso", (1, 0, 0)))
         self._shoulders = places(*((f"{side}_upper_arm", (0, 0, 0)) for side in SIDES))
-        patch = shirt.garment.patches[f"{options.hand}_hem"]
-        self._patch, self._collar = numbers(patch), numbers(shirt.collar)
-        self._around = numbers(shirt.faces[np.isin(shirt.faces, patch).any(axis=1)])
+        self._patch, self._around = (numbers(found) for found in shirt.hem(options.hand))
+        self._collar = numbers(shirt.collar)
         self._faces = numbers(shirt.faces)
         self._end = numbers(shirt.sleeve(options.side)["end"][::-1])
         felt = sensors()
@@ -127,10 +135,7 @@ class ShirtState(Fields):
             return in_world(places, xpos, xquat)
 
         hand, bones = world(self._hand)[:, 0], world(self._limb)
-        a, b, c = (cloth_position[:, self._around[:, k]] for k in range(3))
-        normal = torch.linalg.cross(b - a, c - a).sum(dim=1)
-        normal = torch.nn.functional.normalize(normal, dim=1)
-        target = cloth_position[:, self._patch].mean(dim=1) + _OUTSIDE * normal
+        target = grip_target(cloth_position, self._patch, self._around)
         distance = (hand - target).norm(dim=1)
 
         # forwards and up along its normal: from outside to between the body and what is held before it
