@@ -46,7 +46,7 @@ def test_the_simulator_steps_as_often_as_the_resolution_says() -> None:
     training = made(None)
     before = training.job.environment.parts.simulator  # type: ignore[attr-defined]
     assert before._substeps == 1
-    training.job.sharpen()
+    training.job.sharpen()  # type: ignore[attr-defined]
     after = training.job.environment.parts.simulator  # type: ignore[attr-defined]
     assert after._substeps == 4
     torch.testing.assert_close(after.x, before.x, rtol=0, atol=0)  # it goes on from the same state
@@ -168,11 +168,9 @@ def test_after_sharpening_an_evaluation_comes_soon(monkeypatch: pytest.MonkeyPat
 def test_a_result_is_tried_at_half_the_time_step() -> None:
     """On the same starts, whatever physics a training began with."""
     training = made(None)
-    hertz, finer = training.job.evaluate_finer(
-        "final", training.experiment.root.evaluation.final_episodes
-    ) or (0.0, None)
+    episodes = training.experiment.root.evaluation.final_episodes
+    hertz, finer = training.job.evaluate_finer("final", episodes)  # type: ignore[attr-defined]
     assert hertz == 80.0
     simulator = training.job._evaluator(8).built.environment.parts.simulator  # type: ignore[attr-defined]
     assert simulator._substeps == 8
-    assert finer is not None
-    assert finer.episodes == training.experiment.root.evaluation.final_episodes
+    assert finer.episodes == episodes
