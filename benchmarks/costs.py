@@ -20,6 +20,7 @@ import understudy_mujoco.simulator as plain
 from understudy.running.environment import Environment
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import compose_raw, load_experiment
+from understudy_reinforcement.resolution import resolution_of
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "costs.jsonl"
 
@@ -33,7 +34,7 @@ def variants() -> dict[str, list[str]]:
 def built(name: str, words: list[str], coarse: bool, given: argparse.Namespace) -> Built:
     """A variant at its coarse or fine physics."""
     experiment = load_experiment(["experiment=spacetime/walk", *given.overrides, *words])
-    coarsest = experiment.root.resolution.substeps if coarse else None
+    coarsest = resolution_of(experiment).substeps if coarse else None
     lean = plain.lean
     if name == "all_pairs":  # MuJoCo finds for itself what may touch
         plain.lean = lambda spec: spec.compile()

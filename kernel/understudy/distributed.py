@@ -16,7 +16,7 @@ from torch import Tensor
 
 from understudy.errors import TrainingError, said
 
-__all__ = ["add_up", "anyone", "rank", "size", "total"]
+__all__ = ["add_up", "anyone", "decided", "rank", "size", "total"]
 
 
 def size() -> int:

@@ -12,7 +12,6 @@ from worlds import PADDLE_TASK, SMALL, make_training, same_bits
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
-from understudy.running.step import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.replay import replay_step
@@ -53,7 +52,13 @@ def test_sound_worlds_replay_bitwise(plugins: Plugins, tmp_path: Path) -> None:
     environment, rows = training.job.environment, torch.arange(16) % 7 == 2
     simulator = environment.parts.simulator
     before, control = simulator.snapshot(), torch.linspace(-3, 3, 16).unsqueeze(1)
-    environment.on_quarantine(Fault(before, control.unsqueeze(0), None, rows))
+    fault = {
+        "snapshot": {name: value[rows] for name, value in before.items()},
+        "controls": control[rows].unsqueeze(0),
+        "substeps": None,
+        "worlds": rows.nonzero().squeeze(1),
+    }
+    environment.on_quarantine(fault)
     simulator.step(control)
     replayed = replay_step(tmp_path / "run/faults/step", plugins)
     assert not replayed.failed.any()

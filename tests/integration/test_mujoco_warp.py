@@ -151,7 +151,7 @@ def test_what_sharpens_goes_on_from_its_state_and_is_captured_anew(device: str) 
         coarse.step(coarse.observations["feedforward"])
     assert coarse.captured_step.on == (device == "cuda")
     state, targets = coarse.state_dict(), coarse.observations["feedforward"].clone()
-    assert job.sharpen() == "physics at 600 Hz"
+    assert job.sharpen() == {"mark/physics at 600 Hz": 1.0}
     fine = job.environment
     assert fine is not coarse
     assert not fine.captured_step.on

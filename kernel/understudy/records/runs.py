@@ -44,7 +44,7 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import refuse_code, validate
 from understudy.task import State
 
-__all__ = ["Run", "cores", "create", "differences", "newest_state", "open_run"]
+__all__ = ["Run", "cores", "create", "differences", "newest_state", "open_run", "versions"]
 
 LAYOUT = 3  #: version of the folder's layout
 _METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it

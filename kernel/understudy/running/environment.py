@@ -24,7 +24,7 @@ from understudy.running.promises import Parts
 from understudy.running.rewards import Rewards
 from understudy.running.soundness import rows, sound, without_unsound
 from understudy.running.statistics import EpisodeStatistics
-from understudy.running.step import Fault, Step
+from understudy.running.step import Step
 from understudy.running.table import FieldTable
 from understudy.task import Context, Memory, Shape, State
 from understudy.task.terms import Term, Wired
@@ -159,8 +159,10 @@ class Environment:
         self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
-        #: Called once, at the first numbers that went wrong.
-        self.on_quarantine: Callable[[Fault], None] | None = None
+        #: Called once, at the first numbers that go wrong in worlds (W,), with what led to it, to be
+        #: repeated: their ``worlds``, the simulator's ``snapshot`` before the decision, its
+        #: ``controls`` (K, W, U) in order, and ``substeps`` of each; None is a control period.
+        self.on_quarantine: Callable[[State], None] | None = None
         #: Called before each control period.
         self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
@@ -191,11 +193,6 @@ class Environment:
             f"Environment({self.num_worlds} worlds on {self.device}, {1 / self.control_dt:g} Hz; "
             f"sees {sees}; acts {self.action_size})"
         )
-
-    @property
-    def difficulty(self) -> float:
-        """Of the running episodes, in the mean over the worlds. Waits for the device."""
-        return float(self._constants["difficulty"].mean())
 
     @property
     def decision(self) -> int:
@@ -488,11 +485,15 @@ class Environment:
 
     def _quarantine(self, unsound: Tensor, before: dict[str, Tensor] | None) -> None:
         self.quarantined += unsound.sum()
-        if self.on_quarantine is not None and bool(unsound.any()):
-            assert before is not None
-            every = self.parts.actuation.part.every
-            controls = torch.stack(self._controls)
-            self.on_quarantine(Fault(before, controls, 1 if every == "substep" else None, unsound))
+        if self.on_quarantine is not None and before is not None and bool(unsound.any()):
+            wrong, every = unsound.nonzero().squeeze(1), self.parts.actuation.part.every
+            fault = {
+                "snapshot": {name: value[wrong] for name, value in before.items()},
+                "controls": torch.stack(self._controls)[:, wrong],
+                "substeps": 1 if every == "substep" else None,
+                "worlds": wrong,
+            }
+            self.on_quarantine(fault)
             self.on_quarantine = None
 
     def state_dict(self) -> State:

@@ -14,6 +14,7 @@ from understudy.task import State
 if TYPE_CHECKING:
     from understudy.records.recording import Recording
     from understudy.records.runs import Run
+    from understudy.running.training import Progress
 
 __all__ = ["Job", "Judgement"]
 
@@ -66,8 +67,9 @@ class Job(ABC):
         """Build and check what iterations need; called once, before anything is written. Evaluating
         what another process learned does without."""
 
-    def watch(self, on_fault: Callable[[str, State], None] | None) -> None:  # noqa: B027
-        """Hand the first numbers that go wrong, as (name, state), to `on_fault` for replay."""
+    def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:  # noqa: B027
+        """Leave what led to the first numbers that go wrong in the ``faults/`` of `run`, and `tell`
+        of it; from now on nothing if that is None."""
 
     @abstractmethod
     def iterate(self, samples: int) -> dict[str, Any]:
@@ -82,34 +84,21 @@ class Job(ABC):
         """Where it stands, in a few words for the progress line."""
         return ""
 
-    def promising(self) -> bool:
-        """Whether an evaluation now may meet the criterion."""
-        return True
+    def judging(self) -> str:
+        """What an evaluation would be now: an ``evaluation``, which may meet the criterion; one of
+        the job's own, by the word with which its draw begins; "" if it is not worth its while."""
+        return "evaluation"
 
-    def coarse(self) -> bool:
-        """Whether iterations simulate more coarsely than what they are judged by."""
-        return False
-
-    def sharpen(self) -> str:
-        """Switch to the physics that counts; returns what it is, in a few words. Only if `coarse`."""
-        raise NotImplementedError
-
-    def rehearse(
-        self, draw: str, episodes: int, *, give_up_below: float | None = None
-    ) -> Judgement:
-        """As :meth:`evaluate`, at the coarse physics. Only if `coarse`."""
-        raise NotImplementedError
+    def between(self, row: Mapping[str, Any], progress: Progress) -> Mapping[str, Any]:
+        """After each iteration, in every process: what its `row` is to say besides. For an evaluation
+        that comes sooner, ``progress.evaluated_at`` is set back."""
+        return {}
 
     @abstractmethod
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Judgement:
         """Judge what was learned on data of the name `draw`, which iterations never use."""
-
-    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Judgement] | None:
-        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz.
-        None where there is no physics."""
-        return None
 
     def record(
         self, draw: str, episodes: int, seconds: float

@@ -1,4 +1,4 @@
-"""What a decision of all worlds gives, and what is kept of one that went wrong."""
+"""What a decision of all worlds gives."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-__all__ = ["Fault", "Step"]
+__all__ = ["Step"]
 
 
 @dataclass
@@ -35,13 +35,3 @@ class Step:
     def ended(self) -> Tensor:
         """(N,) bool"""
         return self.terminated | self.truncated
-
-
-@dataclass(frozen=True)
-class Fault:
-    """What led to the first numbers that went wrong, to be repeated."""
-
-    snapshot: dict[str, Tensor]  #: of the simulator before the decision
-    controls: Tensor  #: (K, N, U), in order
-    substeps: int | None  #: physics steps under each of them; None: a control period
-    worlds: Tensor  #: (N,) bool: those that went wrong

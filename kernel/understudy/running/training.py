@@ -26,6 +26,7 @@ from understudy.records.recording import Recording
 from understudy.records.runs import Run, differences, versions
 from understudy.running.jobs import Job, Judgement
 from understudy.setup.config import Experiment
+from understudy.setup.root import BudgetOptions
 from understudy.signals import StopRequest, is_stop
 from understudy.task import State
 
@@ -44,6 +45,13 @@ class Progress:
     met: bool = False  #: whether the criterion is met
     #: The last iteration's row, while a stop keeps the evaluation that is due after it from being made.
     pending: dict[str, Any] = field(default_factory=dict)
+
+    def spent(self, budget: BudgetOptions) -> float:
+        """The share of the `budget` that is spent."""
+        return max(
+            self.samples / (budget.samples or math.inf),
+            self.seconds / (60 * (budget.minutes or math.inf)),
+        )
 
     def state_dict(self) -> State:
         return dict(vars(self))
@@ -78,7 +86,6 @@ class Training:
         self.job: Job = experiment.job.build(experiment)
         self.progress = Progress()
         self.outcome = ""
-        self._rehearsed = False  # whether the criterion is met at coarse physics
         #: Whether a checkpoint that was resumed is of another task, learner or judgement.
         self.changed = False
 
@@ -91,7 +98,7 @@ class Training:
         """Keep metrics, checkpoints and fault dumps in the folder of `run`; with None, which is for
         the processes beside process 0, write nothing."""
         self.run = run
-        self.job.watch(self._dump if run is not None else None)
+        self.job.watch(run, lambda text: self.reporter.message(text))
         return self
 
     def state_dict(self) -> State:
@@ -227,10 +234,10 @@ class Training:
                         with contextlib.suppress(KeyboardInterrupt):  # noted by `stop`, too
                             row |= self._evaluate_if_due()
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
-                    if stopping and distributed.decided(int(self._due()), self.job.device):
+                    if stopping and distributed.decided(int(self._due() != ""), self.job.device):
                         progress.pending = row
                     else:
-                        row |= self._sharpen_if_ripe()
+                        row |= self.job.between(row, progress)
                         if run is not None:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
@@ -268,58 +275,26 @@ class Training:
         progress, minutes = self.progress, self.experiment.root.budget.minutes or math.inf
         # Not begun is what, as long as those before it, would end after the time.
         late = progress.seconds * (1 + 1 / max(progress.iteration, 1)) > 60 * minutes
-        spent = self._spent() >= 1 or late
+        spent = progress.spent(self.experiment.root.budget) >= 1 or late
         own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0
 
-    def _spent(self) -> float:
-        """The share of the budget that is spent."""
-        budget, progress = self.experiment.root.budget, self.progress
-        return max(
-            progress.samples / (budget.samples or math.inf),
-            progress.seconds / (60 * (budget.minutes or math.inf)),
-        )
-
-    def _sharpen_if_ripe(self) -> dict[str, float]:
-        """Leave coarse physics once the criterion is met with it, or enough of the budget is spent."""
-        if not self.job.coarse():
-            return {}
-        ripe = self._rehearsed or self._spent() >= self.experiment.root.resolution.budget
-        if not distributed.decided(int(ripe), self.job.device):
-            return {}
-        self._rehearsed = False
-        if (every := self._every()) < math.inf:  # what was learned mostly holds: look soon
-            soon = self.progress.samples - round(every / 2)
-            self.progress.evaluated_at = min(self.progress.evaluated_at, soon)
-        return {f"mark/{self.job.sharpen()}": 1.0}
-
-    def _due(self) -> bool:
-        """Whether it is time for an evaluation, and one may be worth its while."""
+    def _due(self) -> str:
+        """What kind of evaluation it is time for; "" for none, or if none is worth its while."""
         waited = self.progress.samples - self.progress.evaluated_at
-        return waited >= self._every() and self.job.promising()
-
-    def _every(self) -> float:
-        """After how many samples evaluations follow one another."""
-        options = self.experiment.root.evaluation
-        if options.every_samples is None:
-            return math.inf if options.criterion is None else 100_000
-        return max(options.every_samples, 1)
+        return self.job.judging() if waited >= self.experiment.root.evaluation.every else ""
 
     def _evaluate_if_due(self) -> dict[str, float]:
         """Evaluate now and then; the criterion is met when it holds on one draw of starts and then
         on a second, larger one. Returns the figures for the row of metrics."""
         options, progress, met = self.experiment.root.evaluation, self.progress, False
-        if not self._due():
+        if not (kind := self._due()):
             return {}
-        kind = "rehearsal" if self.job.coarse() else "evaluation"
         first = self._evaluate(kind, options.episodes, options.criterion)
         row = first.row(kind)
-        reached = _reaches(first, options.criterion)
-        if reached and kind == "rehearsal":
-            self._rehearsed = True
-        elif reached:
+        if kind == "evaluation" and _reaches(first, options.criterion):
             second = self._evaluate("confirmation", options.final_episodes, options.criterion)
             met, row = _reaches(second, options.criterion), row | second.row("confirmation")
         progress.evaluated_at, progress.met = progress.samples, met
@@ -329,9 +304,8 @@ class Training:
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Judgement:
         draw = f"{kind}/{self.progress.evaluations + 1}"
         least = 0.0 if criterion and not self.experiment.root.evaluation.give_up else criterion
-        judge = self.job.rehearse if kind == "rehearsal" else self.job.evaluate
         with StopRequest(at_once=True):  # it may take minutes, and can be made again
-            evaluation = judge(draw, episodes, give_up_below=least)
+            evaluation = self.job.evaluate(draw, episodes, give_up_below=least)
         self.reporter.message(
             f"{kind.capitalize()} at {self.progress.samples:,} samples: {evaluation.sentence()}"
         )
@@ -344,19 +318,6 @@ class Training:
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
         return self.job.record("final", episodes, record_seconds)
-
-    def _dump(self, name: str, state: State) -> None:
-        """Write what led to numbers that went wrong into the run's ``faults/``."""
-        assert self.run is not None
-        folder = self.run.path / "faults"
-        meta = {"config": self.run.config, "versions": versions(), "samples": self.progress.samples}
-        try:
-            checkpoint.save(folder / name, state, meta)
-            self.reporter.message(
-                f"Numbers left the finite; what led to it is in {folder / name}.json."
-            )
-        except RunError as error:  # the training can go on without it
-            self.reporter.message(f"Numbers left the finite, and {error}")
 
     def close(self) -> None:
         self.job.close()

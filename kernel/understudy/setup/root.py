@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
@@ -32,24 +33,6 @@ class ControlOptions:
                 f"decision={self.decision} is not possible: with substeps={self.substeps} a "
                 f"decision would be more than {_STEPS} steps of physics."
             )
-
-
-@dataclass(frozen=True)
-class ResolutionOptions:
-    """Coarser physics that a training begins with; ``control.substeps`` is what it is judged by.
-
-    It switches to the latter, *sharpens*, as soon as the criterion is met at the coarse physics,
-    the curriculum has reached `difficulty`, or the share `budget` of the budget is spent.
-    """
-
-    substeps: int | None = None  #: physics steps per control period at first; null is the task's
-    difficulty: float | None = None  #: mean difficulty at which physics sharpens; null is none
-    budget: float = 0.75  #: share of the samples, or of the minutes, after which physics sharpens
-
-    def __post_init__(self) -> None:
-        check_range(self, "substeps", least=1)
-        check_range(self, "difficulty", least=0, most=1)
-        check_range(self, "budget", above=0, most=1)
 
 
 @dataclass(frozen=True)
@@ -118,6 +101,13 @@ class EvaluationOptions:
         check_range(self, "gate", least=0, most=1)
         check_range(self, "every_samples", least=0, most=2**63 - 1)
 
+    @property
+    def every(self) -> float:
+        """After how many samples evaluations follow one another."""
+        if self.every_samples is None:
+            return math.inf if self.criterion is None else 100_000
+        return max(self.every_samples, 1)
+
 
 @dataclass(frozen=True)
 class CheckpointOptions:
@@ -164,7 +154,6 @@ class Root:
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
     task: str | None = None  #: its name, where one was chosen
     control: ControlOptions = ControlOptions()  #: how often the policy decides
-    resolution: ResolutionOptions = ResolutionOptions()  #: how coarse physics begins
     episode: EpisodeOptions = EpisodeOptions()  #: of training
     budget: BudgetOptions = BudgetOptions()  #: when a training ends
     evaluation: EvaluationOptions = EvaluationOptions()  #: how a policy is judged
@@ -190,12 +179,6 @@ class Root:
                     f"evaluation.{name}={count} is not possible: an evaluation would be more than "
                     f"{_JUDGED} decisions."
                 )
-        coarse, own = self.resolution.substeps, self.control.substeps
-        if coarse is not None and coarse > own:
-            raise ValueError(
-                f"resolution.substeps={coarse} is not possible: physics begins coarser than it ends, "
-                f"so give at most control.substeps={own}, or null."
-            )
 
 
 KEYS = frozenset(f.name for f in fields(Root))

@@ -22,6 +22,7 @@ from understudy.records import checkpoint
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.jobs import Job
+from understudy.running.training import Progress
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
@@ -125,7 +126,7 @@ class Regression(Job):
         self.net.load_state_dict(state["net"])
 
 
-def plugins(broken: bool = False) -> Plugins:
+def plugins(broken: bool = False, regression: type = Regression) -> Plugins:
     """A plugin with a job, and a kind and a slot of its own."""
     module = ModuleType("regression")
 
@@ -134,7 +135,7 @@ def plugins(broken: bool = False) -> Plugins:
         register.slot("data", "data", "what is learned from")
         register.slot("filters", "data", "several", many=True)
         register.component("data", "my/waves", Waves)
-        register.component("job", "my/regression", Regression)
+        register.component("job", "my/regression", regression)
         if broken:
             raise RuntimeError("no licence")
 
@@ -209,6 +210,44 @@ def test_a_job_that_is_finished(tmp_path: Path) -> None:
     assert stages == ["epoch 1", "epoch 2", "epoch 3"]
     assert training.progress.samples == 96
     assert (tmp_path / "run/curve.json").exists()
+
+
+class Rehearsing(Regression):
+    """Tries itself for itself until it was good once, and wants to be judged soon then."""
+
+    ready = False
+
+    def judging(self) -> str:
+        return "evaluation" if self.ready else "trial"
+
+    def between(self, row: Mapping[str, Any], progress: Progress) -> Mapping[str, Any]:
+        if self.ready or row.get("trial/success_rate", 0.0) < 0.9:
+            return {}
+        self.ready, progress.evaluated_at = True, progress.samples - 128
+        return {"mark/ready": 1.0}
+
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        return Evaluation(episodes, "", 1.0 if self._iterations >= 10 else 0.2)
+
+
+def test_evaluations_of_a_jobs_own() -> None:
+    """None of them meets the criterion, however good; what they lead to is the job's."""
+    criterion = ("evaluation.criterion=0.9", "evaluation.every_samples=160", "budget.samples=6400")
+    training = make_training(plugins(regression=Rehearsing), [*TASK, *criterion])
+    rows = list(training.rows())
+    found = [
+        (row["samples"] // 32, key) for row in rows for key in row if key.endswith("success_rate")
+    ]
+    assert found == [
+        (5, "trial/success_rate"),
+        (10, "trial/success_rate"),
+        (11, "evaluation/success_rate"),
+        (11, "confirmation/success_rate"),
+    ]
+    assert [row["samples"] // 32 for row in rows if "mark/ready" in row] == [10]
+    assert training.outcome == "criterion"
 
 
 def test_it_sweeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

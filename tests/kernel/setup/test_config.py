@@ -145,7 +145,6 @@ def test_the_effective_configuration_has_every_default(plugins: Plugins) -> None
     assert found["policy.noise.samples"] == 1_000_000
     assert found["evaluation.gate"] == 0.3
     assert found["curriculum"] is None
-    assert found["resolution.substeps"] is None
 
 
 def test_what_a_run_keeps_is_effective(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from understudy_inspect.completion import words
         ("understudy completion z", ["zsh"]),
         ("understudy evaluate runs/x ep", ["episode.", "episodes="]),
         ("understudy train experiment=miniature/go learner.ga", ["learner.gae_lambda=", "learner.gamma="]),
+        ("understudy train experiment=miniature/go resolution.", [f"resolution.{name}=" for name in ("budget", "difficulty", "substeps")]),
         ("understudy train experiment=nothing learner.ga", []),
         ("understudy train 'open", []),
     ],

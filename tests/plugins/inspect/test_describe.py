@@ -33,6 +33,21 @@ def test_a_learner() -> None:
     assert describe("ppo", installed()) == text
 
 
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [
+        ("control", r"substeps=20 +whole number; physics steps per control period"),
+        ("resolution", r"substeps=null +whole number or null; physics steps per control period"),
+        ("start", r"run=… +text; its folder"),
+    ],
+)
+def test_a_group_and_a_section(name: str, option: str) -> None:
+    """Options of the kernel's own, and of a plugin's, in the same form."""
+    text = describe(name, installed())
+    assert re.match(rf"{name}\n(  .*\n)*  {option}", text)
+    assert name in names(installed())
+
+
 def test_a_term() -> None:
     text = describe("termination/beyond", installed())
     assert re.search(r"^  limit=… +number; in the field's unit$", text, re.M), "it has to be given"

@@ -15,6 +15,7 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
+from understudy_reinforcement.resolution import resolution_of
 from understudy_report.markup import check_markup
 from understudy_reproduce import card as card_module
 from understudy_reproduce import command, tables
@@ -229,8 +230,8 @@ def test_what_is_compared_with_a_paper_is_trained_by_its_own_physics(name: str) 
         return
     column = next(iter(table.columns.values()))
     for row in table.rows.values():
-        root = load_experiment([*table.overrides, *row, *column]).root
-        assert root.resolution.substeps is None
+        experiment = load_experiment([*table.overrides, *row, *column])
+        assert resolution_of(experiment).substeps is None
 
 
 def test_every_bundled_table_can_be_listed() -> None:

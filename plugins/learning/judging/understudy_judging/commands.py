@@ -21,7 +21,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
-from understudy_judging.half_step import compared
+from understudy_judging.half_step import Finer, compared
 from understudy_skills.folder import run_folder
 from understudy_training.watching import observers
 from understudy_training.workflow import judge
@@ -69,7 +69,8 @@ class Evaluate(Command):
         try:
             evaluation, _ = training.judge()
             episodes = training.experiment.root.evaluation.final_episodes
-            finer = training.job.evaluate_finer("final", episodes) if half_step else None
+            job = training.job if half_step else None
+            finer = job.evaluate_finer("final", episodes) if isinstance(job, Finer) else None
         finally:
             training.close()
         changed = _changed(words, _EVALUATION)

@@ -7,13 +7,23 @@ same starts with the same policy and the same model.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from understudy.running.jobs import Judgement
 from understudy_reinforcement.evaluation import wilson_interval
 
 #: Success may differ by this much, as a share, in what is said to be the same.
 TOLERANCE = 0.1
+
+
+@runtime_checkable
+class Finer(Protocol):
+    """A job that can judge at a finer time step than its task's."""
+
+    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Judgement]:
+        """As :meth:`understudy.running.jobs.Job.evaluate`, at half the time step of physics; and the
+        rate of that in Hz."""
+        ...
 
 
 def difference(first: Judgement, second: Judgement) -> tuple[float, float, float] | None:

@@ -11,4 +11,7 @@ PARTS = {
 }
 
 #: Sections of a configuration: the options, and what is built of them.
-SECTIONS = {"start": ("start:StartOptions", "start:section")}
+SECTIONS = {
+    "resolution": ("resolution:ResolutionOptions", "resolution:section"),
+    "start": ("start:StartOptions", "start:section"),
+}

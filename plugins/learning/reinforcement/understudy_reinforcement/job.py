@@ -12,18 +12,21 @@ from torch import Tensor
 from understudy import distributed
 from understudy.records.checkpoint import misshapen
 from understudy.records.recording import Recording
+from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.jobs import Job
-from understudy.running.step import Fault
+from understudy.running.training import Progress
 from understudy.setup.building import Built, build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement.collector import Collector
 from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.evaluator import Evaluator
+from understudy_reinforcement.faults import Faults
 from understudy_reinforcement.hopeless import Hopeless, refuse_negative, unsound_parts
 from understudy_reinforcement.learner import Learner
 from understudy_reinforcement.policy import Policy, build_policy
+from understudy_reinforcement.resolution import REHEARSAL, Resolution
 from understudy_reinforcement.start import take_over
 from understudy_reinforcement.success import success_of
 
@@ -65,13 +68,12 @@ class Reinforcement(Job):
         self.experiment = experiment
         self.device = device_of(experiment.root.device)
         self.built: Built | None = None
-        root = experiment.root
-        #: Physics steps of a control period: the task's, or at first coarser.
-        self.substeps = root.resolution.substeps or root.control.substeps
+        self.resolution = Resolution(experiment)
         self._evaluators: dict[int, Evaluator] = {}  # by physics steps of a control period
         #: Share of the last rollout's steps in which an episode failed.
         self._failing = 1.0
-        self._on_fault: Callable[[str, State], None] | None = None
+        self._faults: Faults | None = None
+        self._samples = 0  # consumed before this iteration
         self._started: Mapping[str, Any] = {}
         #: By observation which of actor and critic read it.
         self._readers: dict[str, list[str]] = {}
@@ -79,7 +81,7 @@ class Reinforcement(Job):
     def prepare(self) -> None:
         experiment = self.experiment
         success_of(experiment)  # refused now, not when the training comes to its first evaluation
-        self.built = built = build_environment(experiment, substeps=self.substeps)
+        self.built = built = build_environment(experiment, substeps=self.resolution.substeps)
         self.environment = built.environment
         observations = self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
@@ -101,7 +103,7 @@ class Reinforcement(Job):
 
     def _go_over(self, substeps: int) -> None:
         """Go on from the same state at so many physics steps a control period."""
-        if substeps == self.substeps:
+        if substeps == self.resolution.substeps:
             return
         assert self.built is not None
         state, sections = self.environment.state_dict(), dict(self.built.context.sections)
@@ -110,46 +112,39 @@ class Reinforcement(Job):
         self.environment = self.collector.environment = self.built.environment
         self.environment.reset()  # makes what a state is loaded into
         self.environment.load_state_dict(state)
-        if (left := self._evaluators.pop(self.substeps, None)) is not None:
+        if (left := self._evaluators.pop(self.resolution.substeps, None)) is not None:
             left.close()
-        self.substeps = substeps
-        self.watch(self._on_fault)
+        self.resolution.substeps = substeps
+        self._watch()
 
-    def coarse(self) -> bool:
-        return self.substeps < self.experiment.root.control.substeps
+    def sharpen(self) -> dict[str, float]:
+        """Go over to the task's own physics; returns the mark of it for the learning curves."""
+        self._go_over(self.resolution.own)
+        return {f"mark/{self.resolution.in_words}": 1.0}
 
-    def sharpen(self) -> str:
-        self._go_over(self.experiment.root.control.substeps)
-        return self._physics()
+    def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:
+        self._faults = Faults(run, tell) if run is not None else None
+        self._watch()
 
-    def _physics(self) -> str:
-        return f"physics at {self.experiment.root.control.frequency * self.substeps:.4g} Hz"
-
-    def watch(self, on_fault: Callable[[str, State], None] | None) -> None:
-        self._on_fault = on_fault
+    def _watch(self) -> None:
+        """Have what the job consists of now tell of faults, once each; no more if nobody wants to know."""
         self.environment.on_quarantine = self.learner.on_fault = None
-        if on_fault is None:
+        if (faults := self._faults) is None:
             return
 
-        def step(fault: Fault) -> None:
-            rows = fault.worlds.nonzero().squeeze(1)
-            state = {
-                "snapshot": {k: v[rows] for k, v in fault.snapshot.items()},
-                "controls": fault.controls[:, rows],
-                "substeps": fault.substeps,
-                "worlds": rows,
-            }
-            on_fault("step", state)
+        def step(fault: State) -> None:
+            faults.keep("step", fault, self._samples)
 
         def update(minibatch: Mapping[str, Tensor]) -> None:
             policy = dict(self.policy.state_dict())
-            on_fault("update", {"minibatch": dict(minibatch), "policy": policy})
+            faults.keep("update", {"minibatch": dict(minibatch), "policy": policy}, self._samples)
 
         if self.device.type == "cpu":  # on a GPU, looking would cost a wait in each step
             self.environment.on_quarantine = step
         self.learner.on_fault = update
 
     def iterate(self, samples: int) -> dict[str, Any]:
+        self._samples = samples
         began = _Moment(self.device)
         self.policy.schedule(samples)
         rollout = self.collector.collect(self.learner.rollout_steps)
@@ -163,9 +158,9 @@ class Reinforcement(Job):
             metrics |= {
                 k if k.startswith("mark/") else f"curriculum/{k}": v for k, v in found.items()
             }
-        metrics["physics_hz"] = self.experiment.root.control.frequency * self.substeps
-        if self._ripe():
-            metrics[f"mark/{self.sharpen()}"] = 1.0
+        metrics["physics_hz"] = self.resolution.hertz
+        if self.resolution.coarse and self.resolution.hard(self.environment):
+            metrics |= self.sharpen()
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
         refuse_negative(self.environment)
@@ -194,10 +189,14 @@ class Reinforcement(Job):
                 environment.begin(ended)
         return " and ".join(found) or "a part that did not show itself again"
 
-    def _ripe(self) -> bool:
-        """Whether the difficulty has come to where physics sharpens."""
-        enough = self.experiment.root.resolution.difficulty
-        return enough is not None and self.coarse() and self.environment.difficulty >= enough - 1e-6
+    def between(self, row: Mapping[str, Any], progress: Progress) -> Mapping[str, Any]:
+        resolution = self.resolution
+        if not resolution.coarse:
+            return {}
+        if not distributed.decided(int(resolution.ripe(row, progress)), self.device):
+            return {}
+        resolution.look_soon(progress)
+        return self.sharpen()
 
     def finished(self) -> bool:
         curriculum = self.environment.parts.curriculum
@@ -206,18 +205,21 @@ class Reinforcement(Job):
     def stage(self) -> str:
         curriculum = self.environment.parts.curriculum
         stages = [curriculum.stage()] if curriculum else []
-        return ", ".join([*stages, self._physics()] if self.coarse() else stages)
+        resolution = self.resolution
+        return ", ".join([*stages, resolution.in_words] if resolution.coarse else stages)
 
-    def promising(self) -> bool:
-        """Whether episodes last long enough without a failure for success to be plausible."""
+    def judging(self) -> str:
+        """None before episodes last long enough without a failure for success to be plausible."""
         options, environment = self.experiment.root.evaluation, self.environment
         lasting = environment.decision * environment.control_dt / max(self._failing, 1e-9)
-        return lasting >= options.gate * options.seconds
+        if lasting < options.gate * options.seconds:
+            return ""
+        return REHEARSAL if self.resolution.coarse else "evaluation"
 
     @property
     def evaluator(self) -> Evaluator:
         """The one at the task's own physics."""
-        return self._evaluator(self.experiment.root.control.substeps)
+        return self._evaluator(self.resolution.own)
 
     def _evaluator(self, substeps: int) -> Evaluator:
         if substeps not in self._evaluators:
@@ -225,18 +227,15 @@ class Reinforcement(Job):
             self._evaluators[substeps] = Evaluator(self.experiment, context, substeps)
         return self._evaluators[substeps]
 
-    def rehearse(
-        self, draw: str, episodes: int, *, give_up_below: float | None = None
-    ) -> Evaluation:
-        evaluator = self._evaluator(self.substeps)
-        return evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
-
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Evaluation:
-        return self.evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
+        rehearsal = draw.startswith(f"{REHEARSAL}/")
+        evaluator = self._evaluator(self.resolution.substeps) if rehearsal else self.evaluator
+        return evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
 
-    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Evaluation] | None:
+    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Evaluation]:
+        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz."""
         control = self.experiment.root.control
         substeps = 2 * control.substeps
         return control.frequency * substeps, self._evaluator(substeps).run(
@@ -308,13 +307,13 @@ class Reinforcement(Job):
             "environment": self.environment.state_dict(),
             "collector": self.collector.streams.state_dict(),
             "failing": self._failing,
-            **({"substeps": self.substeps} if self.experiment.root.resolution.substeps else {}),
+            **self.resolution.state_dict(),
         }
 
     def load_state_dict(self, state: State) -> None:
         self.policy.load_state_dict(state["policy"])
         self.learner.load_state_dict(state["learner"])
-        self._go_over(state.get("substeps", self.substeps))
+        self._go_over(state.get("substeps", self.resolution.substeps))
         self.environment.load_state_dict(state["environment"])
         self.collector.streams.load_state_dict(state["collector"])
         self._failing = state["failing"]

@@ -9,7 +9,7 @@ from typing import Any
 
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy.records.runs import newest_state
+from understudy.records.runs import Run, newest_state
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement.job import Reinforcement
@@ -58,7 +58,7 @@ class Judge(Reinforcement):
             print(f"Unlike in the training of {self.options.run}: {change}", file=sys.stderr)
         self._started = {**source.info["sources"], "policy": {"run": self.options.run}}
 
-    def watch(self, on_fault: Callable[[str, State], None] | None) -> None:
+    def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:
         pass
 
     def iterate(self, samples: int) -> dict[str, Any]:

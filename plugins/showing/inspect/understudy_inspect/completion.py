@@ -125,6 +125,9 @@ def _keys(given: Sequence[str], last: str, plugins: Plugins) -> Iterator[str]:
         try:
             raw = compose_raw(list(given), plugins)
             effective: dict[str, Any] = validate(raw, plugins.registry).effective()
+            section = plugins.registry.sections.get(last.partition(".")[0])
+            if section and section.name not in effective:
+                yield from (f"{section.name}.{name}=" for name in section.options.options)
         except UnderstudyError:
             return
         yield from (f"{path}=" for path in paths(effective, "") if not path.endswith(".name"))
@@ -132,7 +135,7 @@ def _keys(given: Sequence[str], last: str, plugins: Plugins) -> Iterator[str]:
         roots = root_keys(plugins.registry)
         chosen = {g for g in groups if any(True for _ in offers(plugins, g))}
         nested = {"motion", "control", "episode", "budget", "evaluation", "checkpoint", "run", "start",
-                  "reward", "termination"}  # fmt: skip
+                  "resolution", "reward", "termination"}  # fmt: skip
         yield from (f"{name}=" for name in chosen | (roots - nested))
         yield from (
             f"{name}." for name in nested | {s for s in roots if s in plugins.registry.slots}

@@ -11,7 +11,7 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -52,8 +52,8 @@ def describe(name: str, plugins: Plugins) -> str:
     """
     registry = plugins.registry
     kind, _, rest = name.partition("/")
-    if name in _groups():
-        return _table(name, options_of(_groups()[name]), sentences(_groups()[name]))
+    if (group := _group(name, plugins)) is not None:
+        return _table(name, options_of(group), sentences(group))
     if (kind, rest) in registry.components:
         return _component(registry.components[kind, rest], plugins)
     for offer in offers(plugins, kind):
@@ -164,16 +164,17 @@ def names(plugins: Plugins) -> list[str]:
     kinds = {kind for kind, _ in plugins.registry.components} | {"experiment", "task"}
     files = {f"{kind}/{offer.name}" for kind in kinds for offer in offers(plugins, kind)}
     parts = {f"{kind}/{name}" for kind, name in plugins.registry.components if kind != "command"}
-    return sorted(files | parts | set(_groups()))
+    groups = {name for name in options_of(Root) if _group(name, plugins)}
+    return sorted(files | parts | groups | plugins.registry.sections.keys())
 
 
-def _groups() -> dict[str, type]:
-    """The groups of the root that have options of the kernel's own."""
-    return {
-        option.name: option.annotation
-        for option in options_of(Root).values()
-        if dataclasses.is_dataclass(option.annotation) and isinstance(option.annotation, type)
-    }
+def _group(name: str, plugins: Plugins) -> type | None:
+    """The options of the group or section of a configuration that has that name, if one has."""
+    if (section := plugins.registry.sections.get(name)) is not None:
+        return cast("type", section.options.factory)
+    option = options_of(Root).get(name)
+    found = option.annotation if option else None
+    return found if dataclasses.is_dataclass(found) and isinstance(found, type) else None
 
 
 def _component(component: Component, plugins: Plugins) -> str:

@@ -13,7 +13,10 @@ from worlds import make_training, resumed
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
+from understudy.setup.validation import validate
 from understudy_reinforcement.evaluation import Evaluation
+from understudy_reinforcement.policy import Policy
+from understudy_reinforcement.resolution import resolution_of
 
 #: Four physics steps a control period, of which a training begins with one.
 COARSE = (*LINE_TASK, "control.substeps=4", "resolution.substeps=1", "control.frequency=10")
@@ -43,7 +46,7 @@ def test_the_simulator_steps_as_often_as_the_resolution_says() -> None:
     training = made(None)
     before = training.job.environment.parts.simulator  # type: ignore[attr-defined]
     assert before._substeps == 1
-    training.job.sharpen()
+    training.job.sharpen()  # type: ignore[attr-defined]
     after = training.job.environment.parts.simulator  # type: ignore[attr-defined]
     assert after._substeps == 4
     torch.testing.assert_close(after.x, before.x, rtol=0, atol=0)  # it goes on from the same state
@@ -56,28 +59,48 @@ def test_the_criterion_at_coarse_physics_only_sharpens(
     training = made(tmp_path / "run", *overrides)
     asked: list[str] = []
 
-    def answering(kind: str, rates: list[float]) -> object:
-        def evaluate(draw: str, episodes: int, *, give_up_below: float | None = None) -> Evaluation:
-            asked.append(f"{kind} {draw}")
-            return Evaluation(episodes, "", rates.pop(0))
+    rates = {1: [0.5, 1.0], 4: [0.2, 0.95, 0.9]}
 
-        return evaluate
+    class Answers:
+        """In place of evaluators, by physics steps of a control period."""
 
-    monkeypatch.setattr(training.job, "rehearse", answering("coarse", [0.5, 1.0]))
-    monkeypatch.setattr(training.job, "evaluate", answering("fine", [0.2, 0.95, 0.9]))
+        def __init__(self, substeps: int) -> None:
+            self._substeps = substeps
+
+        def run(self, policy: Policy, draw: str, episodes: int, **_: object) -> Evaluation:
+            asked.append(f"{self._substeps} {draw}")
+            return Evaluation(episodes, "", rates[self._substeps].pop(0))
+
+    monkeypatch.setattr(training.job, "_evaluator", Answers)
     assert training.train() == "criterion"
     assert asked == [
-        "coarse rehearsal/1",
-        "coarse rehearsal/2",
-        "fine evaluation/3",
-        "fine evaluation/4",
-        "fine confirmation/4",
+        "1 rehearsal/1",
+        "1 rehearsal/2",
+        "4 evaluation/3",
+        "4 evaluation/4",
+        "4 confirmation/4",
     ]
     assert training.run is not None
     rows = training.run.metrics()
     assert hertz(rows) == [10.0, 10.0, 40.0, 40.0]
     assert [row.get("rehearsal/success_rate") for row in rows] == [0.5, 1.0, None, None]
     assert [row.get("evaluation/success_rate") for row in rows] == [None, None, 0.2, 0.95]
+
+
+def test_a_rehearsal_that_was_given_up_sharpens_nothing() -> None:
+    """Its rate is the most that it could be."""
+    training = made(None, "evaluation.criterion=0.9", "budget.samples=1280")
+    resolution, progress = training.job.resolution, training.progress  # type: ignore[attr-defined]
+    given_up = Evaluation(64, "", 0.95, complete=False)
+    assert not resolution.ripe(given_up.row("rehearsal"), progress)
+    assert not resolution.ripe(Evaluation(64, "", 0.95).row("evaluation"), progress)
+    assert resolution.ripe(Evaluation(64, "", 0.95).row("rehearsal"), progress)
+
+
+def test_it_sharpens_at_a_difficulty() -> None:
+    for difficulty, marked in ((0.8, False), (0.5, True)):
+        training = made(None, "difficulty=0.7", f"resolution.difficulty={difficulty}", "budget.samples=64", "resolution.budget=1")  # fmt: skip
+        assert ("mark/physics at 40 Hz" in training.iterate()) == marked
 
 
 def test_the_last_evaluation_is_at_the_tasks_own_physics() -> None:
@@ -114,8 +137,18 @@ def test_resuming_across_the_change_is_exact(tmp_path: Path, stop: int) -> None:
 
 
 def test_physics_cannot_begin_finer_than_it_ends() -> None:
+    experiment = load_experiment([*COARSE, "resolution.substeps=8"], line_plugins())
     with pytest.raises(ConfigError, match=r"resolution\.substeps=8.*control\.substeps=4"):
-        load_experiment([*COARSE, "resolution.substeps=8"], line_plugins())
+        Training(experiment)
+
+
+def test_without_the_section_physics_is_the_tasks_own_throughout() -> None:
+    """As with one that says so, which every older run's configuration has."""
+    experiment = load_experiment([*LINE_TASK], line_plugins())
+    older = {**experiment.effective(), "resolution": {"substeps": None, "difficulty": None, "budget": 0.75}}  # fmt: skip
+    assert "resolution" not in experiment.effective()
+    assert resolution_of(experiment) == resolution_of(validate(older, line_plugins().registry))
+    assert "substeps" not in make_training(line_plugins(), LINE_TASK).state_dict()
 
 
 def test_after_sharpening_an_evaluation_comes_soon(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,11 +168,9 @@ def test_after_sharpening_an_evaluation_comes_soon(monkeypatch: pytest.MonkeyPat
 def test_a_result_is_tried_at_half_the_time_step() -> None:
     """On the same starts, whatever physics a training began with."""
     training = made(None)
-    hertz, finer = training.job.evaluate_finer(
-        "final", training.experiment.root.evaluation.final_episodes
-    ) or (0.0, None)
+    episodes = training.experiment.root.evaluation.final_episodes
+    hertz, finer = training.job.evaluate_finer("final", episodes)  # type: ignore[attr-defined]
     assert hertz == 80.0
     simulator = training.job._evaluator(8).built.environment.parts.simulator  # type: ignore[attr-defined]
     assert simulator._substeps == 8
-    assert finer is not None
-    assert finer.episodes == training.experiment.root.evaluation.final_episodes
+    assert finer.episodes == episodes
