@@ -142,6 +142,13 @@ def evaluated(*overrides: str, episodes: int = 4, task: Iterable[str] = RUNGS) -
     return made.run(policy(), "a", episodes)
 
 
+@pytest.mark.parametrize(("last", "worlds"), [(2, 2), (9, 3)])
+def test_no_more_worlds_are_simulated_than_are_ever_judged(last: int, worlds: int) -> None:
+    """Four episodes of an evaluation took as long as thirty-two."""
+    made = evaluator("evaluation.episodes=3", f"evaluation.final_episodes={last}")
+    assert made.built.environment.num_worlds == worlds
+
+
 def policy(push: float = 1.0) -> Steady:
     """Moves worlds by `push` a second."""
     return Steady(Steady.Options(float(push)))

@@ -73,7 +73,7 @@ class Evaluator:
         self.success = success_of(experiment)
         self.built: Built = build_environment(
             experiment,
-            num_worlds=options.episodes,
+            num_worlds=min(options.episodes, options.final_episodes),
             episode_seconds=options.seconds,
             scene=context.scene if context and context.substeps == substeps else None,
             sections=dict(context.sections) if context else None,
