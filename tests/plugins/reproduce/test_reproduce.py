@@ -375,7 +375,7 @@ def test_a_card_is_not_written_into_what_is_another_ones(
 
 
 @pytest.mark.parametrize("mark", ["reproduction.json", "card.md"])
-def test_no_table_counts_anothers_trainings(
+def test_no_table_counts_trainings_of_another(
     offered: Callable[[str], Path],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
