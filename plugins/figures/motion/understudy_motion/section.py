@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
@@ -45,6 +46,20 @@ class MotionOptions:
         check_range(self, "close_loop", above=0.0)
 
 
+def _closed(clip: Clip, seconds: float, loop: bool | None) -> Clip:
+    """`clip`, made to repeat over so many `seconds`; ConfigError if it has not got them, or is said not to `loop`."""
+    asked = f"motion.close_loop={seconds:g} is not possible"
+    if loop is False:
+        raise ConfigError(f"{asked} beside motion.loop=false. Leave one of them out.")
+    least, most = clip.duration / (clip.num_frames - 1), 0.5 * clip.duration
+    if not least - 1e-9 <= seconds <= most + 1e-9:
+        raise ConfigError(
+            f"{asked}: the clip {clip.name} lasts {clip.duration:.4g} s, {least:.4g} s a frame. Give between a frame and "
+            f"half of the clip: {least:.4g} to {most:.4g}."
+        )
+    return close_loop(clip, seconds)
+
+
 class Motion:
     """The chosen clip and where it came from."""
 
@@ -62,9 +77,13 @@ class Motion:
             )
         self.clip: Clip = library.load(name, file, registry, options.parameters, reading)
         if options.close_loop is not None:
-            self.clip = close_loop(evenly_spaced(self.clip), options.close_loop)
-        if options.keys is not None:
-            self.clip = keyframed(self.clip, options.keys)
+            self.clip = _closed(evenly_spaced(self.clip), options.close_loop, options.loop)
+        if (keys := options.keys) is not None:
+            if keys > (most := self.clip.num_frames):
+                raise ConfigError(
+                    f"motion.keys={keys} is not possible: the clip {self.clip.name} has {most} frames. Give fewer."
+                )
+            self.clip = keyframed(self.clip, keys)
 
     def provenance(self) -> dict[str, Any]:
         clip = self.clip
