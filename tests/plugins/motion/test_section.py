@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,6 +64,24 @@ def test_a_clip_that_does_not_close_is_led_into_its_beginning(registry: Registry
     assert angle_between(open_.rotations[0], open_.rotations[-1]).item() == pytest.approx(0.4)
     assert angle_between(closed.rotations[0], closed.rotations[-1]).item() < 1e-9
     torch.testing.assert_close(closed.rotations[6:-6], open_.rotations[6:-6])
+
+
+@pytest.mark.parametrize(("away", "moved"), [((90.0, -40.0), False), ((-9e4, 3e4), True)])
+def test_a_clip_far_away_begins_at_the_origin(
+    registry: Registry, away: tuple[float, float], moved: bool
+) -> None:
+    """As in a map's coordinates, where float32 has steps of millimetres; what it does is the same."""
+    offset = torch.tensor([*away, 0.5], dtype=torch.float64)
+    clip = replace(leaning(), root_position=leaning().root_position + offset)
+    registry.components["clip", "lean"] = Component("clip", "lean", lambda: clip, "test")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = Motion(MotionOptions(name="lean"), registry, Inputs()).clip
+    assert any("Clip lean begins 9.487e+04 m" in str(one.message) for one in said) == moved
+    begins = (0.0, 0.0, 0.5) if moved else (*away, 0.5)
+    assert found.root_position[0].tolist() == pytest.approx(begins)
+    assert torch.equal(found.rotations, clip.rotations)
+    torch.testing.assert_close(found.root_position.diff(dim=0), clip.root_position.diff(dim=0))
 
 
 @pytest.mark.parametrize("seconds", [0.26, 100.0, 0.01, 1e-9])
