@@ -176,3 +176,27 @@ def test_clips_that_were_cut_are_not(tmp_path: Path, registry: Registry, part: f
     arrays |= {"mocap_framerate": 120.0, "mocap_time_length": 100 / 120.0 / part}
     np.savez(tmp_path / "a.npz", **arrays)
     assert read_clip(tmp_path / "a.npz", registry).frame_rate == pytest.approx(120.0)
+
+
+@pytest.mark.parametrize("name", SAYS)
+@pytest.mark.parametrize("rate", [33_333.0, 8333.0 * 2, 1e6])
+def test_the_microseconds_between_two_frames_are_no_rate(
+    tmp_path: Path, registry: Registry, name: str, rate: float
+) -> None:
+    """Nor are seconds in thousands: a motion of seconds would be over in one sub-step, in silence."""
+    path = SAYS[name](tmp_path, rate)
+    with pytest.raises(FileError, match="nothing that moves is recorded so often"):
+        read_clip(path, registry)
+
+
+@pytest.mark.parametrize("name", SAYS)
+def test_what_high_speed_cameras_and_motors_record_is_read(
+    tmp_path: Path, registry: Registry, name: str
+) -> None:
+    clip = read_clip(SAYS[name](tmp_path, 2000.0), registry)
+    assert clip.frame_rate == pytest.approx(2000.0)
+
+
+def test_a_rate_of_microseconds_is_refused_where_it_is_given() -> None:
+    with pytest.raises(ConfigError, match=r"rate=33333.* the µs between two, the rate is 30"):
+        ReadOptions(rate=33_333)
