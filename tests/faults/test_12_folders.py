@@ -321,6 +321,21 @@ def test_a_run_begins_beside_notes_and_what_a_killed_one_left(
     assert (run / "log.txt").read_text() == "mine"
 
 
+@pytest.mark.parametrize("what", ["a file", "a link to nothing"])
+def test_where_runs_are_no_run_can_be_made(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """``runs`` is not full then: a link to nothing was tried a hundred thousand times, and called that."""
+    monkeypatch.chdir(tmp_path)
+    if what == "a file":
+        Path("runs").write_text("mine")
+    else:
+        Path("runs").symlink_to("nowhere")
+    with pytest.raises(RunError, match=r"The run folder runs cannot be made: File exists\."):
+        runs.create(load_experiment([*FAKE_TASK, *SMALL], plugins), [], {})
+    assert os.listdir() == ["runs"]
+
+
 @pytest.mark.parametrize("inner", ["inner", "checkpoints", "checkpoints/deep/inner"])
 @pytest.mark.parametrize("linked", [False, True])
 def test_no_run_begins_inside_another(

@@ -293,10 +293,11 @@ def _refuse_a_second(path: Path) -> None:
 def _free_folder(name: str) -> Path:
     """A new folder of the next number, made at once, so that nobody else takes it."""
     stem = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
+    Path("runs").mkdir(exist_ok=True)
     for number in range(1, 100_000):
         path = Path("runs") / f"{stem}-{number:03d}"
         with contextlib.suppress(FileExistsError):
-            path.mkdir(parents=True)
+            path.mkdir()
             return path
     raise RunError("The folder runs/ is full of runs of this task. Give run.dir a folder.")
 

@@ -285,8 +285,7 @@ class Environment:
         are, to be read, recorded or harvested, until :meth:`begin`."""
         parts, table = self.parts, self.table
         if not self.observations or action.shape != self.action.shape:
-            need = f"actions of shape {tuple(self.action.shape)} after a first reset()"
-            raise ConfigError(f"The environment takes {need}; this one is {tuple(action.shape)}.")
+            raise ConfigError(f"Give actions of shape {tuple(self.action.shape)} after a reset().")
         self._remember()
         self.action.copy_(action)
         table.put({"action": self.action})

@@ -81,7 +81,7 @@ def test_actions_of_another_shape_are_not_spread_over_worlds(
     env = made(plugins)
     env.reset(0)
     before = env.table["qpos"].clone()
-    with pytest.raises(ConfigError, match=r"takes actions of shape \(4, 1\) after a first reset"):
+    with pytest.raises(ConfigError, match=r"Give actions of shape \(4, 1\) after a reset"):
         getattr(env, how)(torch.ones(shape))
     env.refresh()
     assert torch.equal(env.table["qpos"], before)
@@ -91,7 +91,7 @@ def test_actions_of_another_shape_are_not_spread_over_worlds(
 def test_no_step_comes_before_a_reset(plugins: Plugins, how: str) -> None:
     """It would judge states where no episode has begun, and call each of them ended."""
     env = made(plugins)
-    with pytest.raises(ConfigError, match=r"after a first reset\(\)"):
+    with pytest.raises(ConfigError, match=r"after a reset\(\)"):
         getattr(env, how)(torch.zeros(4, 1))
     env.reset(0)
     assert not still(env).ended.any()
