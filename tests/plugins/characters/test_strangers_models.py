@@ -643,3 +643,30 @@ def test_a_figure_that_hangs_on_the_world_is_said(tmp_path: Path, tie: str, tied
         scene(tmp_path, text)
     said = [str(one.message) for one in caught]
     assert any("to the world (<equality>), so it cannot fall" in one for one in said) == tied, said
+
+
+@pytest.mark.parametrize(
+    ("unit", "reach", "said"),
+    [
+        ("degree", 1.57, "none of its hinges turn by more than 2.5 degrees"),
+        ("degree", 90.0, ""),
+        ("radian", 1.57, ""),
+        ("radian", 90.0, "most of its hinges turn by 90 radians"),
+    ],
+)
+def test_ranges_of_the_other_unit_of_angles_are_said(
+    tmp_path: Path, unit: str, reach: float, said: str
+) -> None:
+    """MJCF's unit is the degree where a model says none: radians then hold each hinge fast, and degrees for radians leave it
+    free, in silence."""
+    text = re.sub(
+        r'(<joint name="[^"]*" axis="[01 ]*")/>', rf'\1 range="-{reach} {reach}"/>', robot_xml()
+    )
+    text = text.replace('angle="radian"', f'angle="{unit}"')
+    (tmp_path / "robot.xml").write_text(text)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load(tmp_path / "robot.xml")
+    found = [str(one.message) for one in caught if "hinges turn by" in str(one.message)]
+    assert bool(found) == bool(said)
+    assert said in "".join(found)

@@ -109,7 +109,8 @@ class Worlds:
         N.
     overrides
         Hydra's, as on the command line (``device=cuda``, ``episode.seconds=5``). With ``seed=3`` the first
-        episodes begin as after a reset with this seed, too.
+        episodes begin as after a reset with this seed, too; so copies of one environment, as in Gymnasium's own vector
+        environments, begin alike until a reset has a seed.
     actions
         ``scaled`` takes actions in [-1, 1] by :class:`ActionScale`; ``raw`` takes the task's,
         unbounded and in its units.
