@@ -327,9 +327,21 @@ def _compiled(name: str, spec: mujoco.MjSpec, named: str) -> Character:
 
 
 def reference_motion(context: Context) -> ReferenceMotion:
-    """The task's reference motion, built once from the config section ``motion``."""
+    """The task's reference motion, built once from the config section ``motion``.
+
+    Raises
+    ------
+    ConfigError
+        its clip is over before anything of it is compared.
+    """
     scene = context.need_scene(CharacterScene, "the reference motion")
     motion = context.need_section("motion", Motion, "the reference motion")
+    clip, period = motion.clip, context.control_dt
+    if clip.duration < period - 1e-9:
+        raise ConfigError(
+            f"Clip {clip.name} lasts {clip.duration:.3g} s, less than a control period ({period:.3g} s), so nothing of it is "
+            "seen. Take a longer one, see whether its frame rate is right, or raise control.frequency."
+        )
     return context.once(
         "reference_motion",
         lambda: ReferenceMotion(
