@@ -290,17 +290,73 @@ def test_no_folder_is_left_of_a_run_that_could_not_be_made(
         assert {p.relative_to(tmp_path).as_posix() for p in left} <= {"runs"}, "its folder is gone"
 
 
-@pytest.mark.parametrize(
-    "left", ["metrics.jsonl", "checkpoints/00000003.json", "faults/x.json", "evaluation.json"]
-)
-def test_no_training_is_mixed_with_what_another_left(
+OTHERS = ("metrics.jsonl", "checkpoints/00000003.json", "faults/x.json", "evaluation.json", "report.html",
+          "video.mp4", "walk-001/run.json", "tensorboard/events", "src/code.py")  # fmt: skip
+
+
+@pytest.mark.parametrize("left", OTHERS)
+def test_no_training_is_mixed_with_other_things(
     plugins: Plugins, tmp_path: Path, left: str
 ) -> None:
-    """Where ``run.json`` alone was lost or taken away: rows would be appended, and a resumed training go on from another's
-    checkpoint."""
+    """As where ``run.json`` alone was taken away, or in ``runs/`` itself: rows would be appended, a resumed training go on
+    from another's checkpoint, a page be overwritten, and the runs below be listed no more."""
     file = tmp_path / "run" / left
     file.parent.mkdir(parents=True)
     file.write_text("{}")
-    with pytest.raises(RunError, match=rf"{left} is of a run whose run\.json is gone.*run\.dir"):
+    with pytest.raises(RunError, match=rf"run is not new: it holds {left}, .*run\.dir a folder"):
         runs.create(load_experiment([*FAKE_TASK, f"run.dir={tmp_path / 'run'}"], plugins), [], {})
     assert [p for p in (tmp_path / "run").rglob("*") if p.is_file()] == [file]
+
+
+def test_a_run_begins_beside_notes_and_what_a_killed_one_left(
+    plugins: Plugins, tmp_path: Path
+) -> None:
+    """A log that a shell opened, a hidden file, and the folders of a run that was killed before it was whole."""
+    run = tmp_path / "run"
+    for name in ("log.txt", "job.sh", ".notes/x", ".lock", "inputs/walk.bvh"):
+        (run / name).parent.mkdir(parents=True, exist_ok=True)
+        (run / name).write_text("mine")
+    (run / "checkpoints").mkdir()
+    runs.create(load_experiment([*FAKE_TASK, f"run.dir={run}"], plugins), [], {}).unlock()
+    assert (run / "log.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("what", ["a file", "a link to nothing"])
+def test_where_runs_are_no_run_can_be_made(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """``runs`` is not full then: a link to nothing was tried a hundred thousand times, and called that."""
+    monkeypatch.chdir(tmp_path)
+    if what == "a file":
+        Path("runs").write_text("mine")
+    else:
+        Path("runs").symlink_to("nowhere")
+    with pytest.raises(RunError, match=r"The run folder runs cannot be made: File exists\."):
+        runs.create(load_experiment([*FAKE_TASK, *SMALL], plugins), [], {})
+    assert os.listdir() == ["runs"]
+
+
+@pytest.mark.parametrize("inner", ["inner", "checkpoints", "checkpoints/deep/inner"])
+@pytest.mark.parametrize("linked", [False, True])
+def test_no_run_begins_inside_another(
+    plugins: Plugins, tmp_path: Path, inner: str, linked: bool
+) -> None:
+    """`understudy runs` would not list it, and what is in ``checkpoints`` is the outer run's to delete."""
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    assert training.run is not None
+    training.run.unlock()
+    (tmp_path / "link").symlink_to("run")
+    before = sorted(tmp_path.rglob("*"))
+    path = tmp_path / ("link" if linked else "run") / inner
+    with pytest.raises(RunError, match=rf"is inside the run {tmp_path / 'run'}\. Give run\.dir"):
+        make_training(plugins, [*FAKE_TASK, *SMALL], path)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_run_in_the_root_of_the_disk_is_refused_at_once(
+    plugins: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not after a look through all that is on it."""
+    monkeypatch.setattr(runs, "check_within", lambda folder: pytest.fail("looks through it"))
+    with pytest.raises(RunError, match=r"^/ is not new: it holds "):
+        make_training(plugins, [*FAKE_TASK, *SMALL], Path("/"))

@@ -123,8 +123,9 @@ def test_a_folder_of_any_depth(tmp_path: Path) -> None:
 def test_new_runs_sweeps_and_reproductions(
     tmp_path: Path, away: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A folder without a run in it is prepared."""
+    """A folder without a run in it is prepared; one that holds things is refused for that already."""
     before = content(away)
+    said = {"checkpoints": "is not new: it holds checkpoints/00000001.safetensors"}
     folder = tmp_path / "given"
     folder.mkdir()
     for name, target in ((".lock", "file"), ("checkpoints", "folder"), ("journal.jsonl", "file")):
@@ -136,7 +137,7 @@ def test_new_runs_sweeps_and_reproductions(
             ["reproduce", "spacetime/table_3_1", "--card"],
         ):
             assert main([*command, f"run.dir={folder}"]) == 2, (name, command)
-            assert "leads out of" in capsys.readouterr().err
+            assert said.get(name, "leads out of") in capsys.readouterr().err
         (folder / name).unlink()
     assert content(away) == before
     assert not list(folder.iterdir())

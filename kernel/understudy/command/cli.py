@@ -90,6 +90,8 @@ def _run(arguments: list[str]) -> int:
             raise ConfigError(
                 f"A shell leaves ~ behind = as it is: write {word.replace('~', '$HOME', 1)}."
             )
+        if re.fullmatch(r"\+*run\.dir=\s*", word):
+            raise ConfigError(f"{word} names no folder, as of an empty variable. Leave it out.")
     options, overrides = parser.parse_known_args(arguments)
     _check(overrides, options.overrides_allowed, arguments[0])
     if overrides:

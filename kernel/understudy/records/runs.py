@@ -48,7 +48,8 @@ __all__ = ["Run", "cores", "create", "differences", "newest_state", "open_run", 
 
 LAYOUT = 3  #: version of the folder's layout
 _METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it
-_LEFT = ("metrics.jsonl", "checkpoints/*", "faults/*", "evaluation*.json", "recording.npz")
+#: What a new run would overwrite, go on with or be taken for, in a folder that is there already.
+_LEFT = ("metrics.jsonl", "evaluation*.json", "*.npz", "*.html", "*.mp4", "[!.]*/*")
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 
@@ -256,9 +257,8 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     with contextlib.ExitStack() as undo:
         try:
             path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
+            _refuse_a_second(path)  # before `lock` looks through all of it, as of /
             path.mkdir(parents=True, exist_ok=True)
-            check_within(path)
-            _refuse_a_second(path)
             run = Run(path, info, registry)
             run.lock()
             _refuse_a_second(path)  # that another process has made meanwhile
@@ -281,17 +281,23 @@ def _refuse_a_second(path: Path) -> None:
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
             "run.dir another folder."
         )
+    above = Path(os.path.realpath(path)).parents
+    for outer in (folder for folder in above if os.path.lexists(folder / "run.json")):
+        raise RunError(f"{path} is inside the run {outer}. Give run.dir a folder elsewhere.")
     for left in (file for name in _LEFT for file in path.glob(name)):
-        raise RunError(f"{left} is of a run whose run.json is gone. Give run.dir another folder.")
+        if left.parent.name != "inputs":  # copies of files, which a run that was killed here began
+            text = f"{path} is not new: it holds {left.relative_to(path)}, as of another run."
+            raise RunError(f"{text} Give run.dir a folder that is new or empty.")
 
 
 def _free_folder(name: str) -> Path:
     """A new folder of the next number, made at once, so that nobody else takes it."""
     stem = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
+    Path("runs").mkdir(exist_ok=True)
     for number in range(1, 100_000):
         path = Path("runs") / f"{stem}-{number:03d}"
         with contextlib.suppress(FileExistsError):
-            path.mkdir(parents=True)
+            path.mkdir()
             return path
     raise RunError("The folder runs/ is full of runs of this task. Give run.dir a folder.")
 

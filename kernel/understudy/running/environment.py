@@ -281,6 +281,8 @@ class Environment:
         """Apply `action` (N, A) for one decision and judge the states reached. They stay as they
         are, to be read, recorded or harvested, until :meth:`begin`."""
         parts, table = self.parts, self.table
+        if not self.observations or action.shape != self.action.shape:
+            raise ConfigError(f"Give actions of shape {tuple(self.action.shape)} after a reset().")
         self._remember()
         self.action.copy_(action)
         table.put({"action": self.action})

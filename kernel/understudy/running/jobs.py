@@ -73,8 +73,8 @@ class Job(ABC):
 
     @abstractmethod
     def iterate(self, samples: int) -> dict[str, Any]:
-        """One iteration, with `samples` consumed before it: its metrics, among them ``consumed``,
-        how many samples it took."""
+        """One iteration, with `samples` consumed before it: its metrics, among them ``consumed``, how many
+        samples it took; where it was not training for a while, ``compiling``, s, is not counted."""
 
     def finished(self) -> bool:
         """Whether there is nothing left to do, whatever the budget."""

@@ -39,7 +39,7 @@ class Progress:
 
     iteration: int = 0
     samples: int = 0
-    seconds: float = 0.0  #: of iterations, over all resumes; evaluations not counted
+    seconds: float = 0.0  #: of iterations, over all resumes; no evaluations, nor compiling
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
@@ -188,7 +188,7 @@ class Training:
         """One iteration of the job; returns its row of metrics."""
         began = time.perf_counter()
         metrics = self.job.iterate(self.progress.samples)
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - began - metrics.pop("compiling", 0.0)
         samples = metrics.pop("consumed")
         progress = self.progress
         progress.iteration += 1

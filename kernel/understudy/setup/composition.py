@@ -322,7 +322,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         if Hydra cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
-    overrides = [readable(override) for override in overrides]
+    overrides = [readable(o) for o in ([overrides] if isinstance(overrides, str) else overrides)]
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         folders = [folder for _, folder in plugins.folders()]

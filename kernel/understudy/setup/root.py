@@ -48,7 +48,7 @@ class BudgetOptions:
     """A training ends at whichever of these it reaches first; both are absolute over resumes."""
 
     samples: int | None = None  #: environment steps, summed over worlds
-    minutes: float | None = None  #: minutes of training time
+    minutes: float | None = None  #: of training; no evaluations, nor what is compiled for it
     #: Samples after which ``evaluation.criterion`` is usually met, if known: for the time shown.
     usual_samples: int | None = None
 

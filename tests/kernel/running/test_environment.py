@@ -72,6 +72,31 @@ def test_a_step_brings_the_states_that_it_reached(plugins: Plugins) -> None:
     assert torch.equal(step.next_fields["qpos"], kept)
 
 
+@pytest.mark.parametrize("how", ["step", "advance"])
+@pytest.mark.parametrize("shape", [(), (1,), (1, 1), (4,), (3, 1), (4, 2)])
+def test_actions_of_another_shape_are_not_spread_over_worlds(
+    plugins: Plugins, how: str, shape: tuple[int, ...]
+) -> None:
+    """One action for all worlds would be copied to each of them in silence."""
+    env = made(plugins)
+    env.reset(0)
+    before = env.table["qpos"].clone()
+    with pytest.raises(ConfigError, match=r"Give actions of shape \(4, 1\) after a reset"):
+        getattr(env, how)(torch.ones(shape))
+    env.refresh()
+    assert torch.equal(env.table["qpos"], before)
+
+
+@pytest.mark.parametrize("how", ["step", "advance"])
+def test_no_step_comes_before_a_reset(plugins: Plugins, how: str) -> None:
+    """It would judge states where no episode has begun, and call each of them ended."""
+    env = made(plugins)
+    with pytest.raises(ConfigError, match=r"after a reset\(\)"):
+        getattr(env, how)(torch.zeros(4, 1))
+    env.reset(0)
+    assert not still(env).ended.any()
+
+
 def test_only_ended_worlds_begin_anew(plugins: Plugins) -> None:
     env = made(plugins)
     env.reset()

@@ -288,6 +288,11 @@ def test_a_plugin_that_a_run_does_not_use_may_be_absent() -> None:
     assert validate(effective, load(only=others).registry).effective() == effective
 
 
+def test_one_override_may_be_given_alone(plugins: Plugins) -> None:
+    """As one writes it in Python; its letters are no overrides."""
+    assert load_experiment("experiment=miniature/go", plugins).root.task == "miniature/go"
+
+
 def test_overrides_replaced() -> None:
     old = ["+policy={name: a}", "seed=1", "++learner.rate=2", "~measure.x"]
     assert replaced(old, ["policy={name: b}", "learner.rate=3"]) == [

@@ -11,17 +11,22 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy.errors import FileError
+from understudy.errors import ConfigError, FileError
+from understudy.inputs import Inputs
+from understudy.setup.registry import Component, Registry
+from understudy.task import Context
 from understudy_characters import reference as module
 from understudy_characters.character import Character
 from understudy_characters.initial_states import reference_states
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
+from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_humanoid.character import build_spec
 from understudy_humanoid.clips import generated_walk
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
+from understudy_motion.section import Motion, MotionOptions
 from understudy_tensors import rotations
 
 DT = 1 / 30
@@ -294,3 +299,27 @@ def test_a_seam_that_does_not_close_has_no_velocity_of_its_own(
         return start["reference_qvel"][:, 3]
 
     assert (rolling(unclosed()) - rolling(generated_walk())).abs().max() < 0.05
+
+
+@pytest.mark.parametrize("loop", [True, False])
+@pytest.mark.parametrize("seconds", [0.008, 0.03])
+def test_a_clip_that_is_over_before_it_is_compared_is_refused(loop: bool, seconds: float) -> None:
+    """As of two frames at 120 Hz; a training of it ended with a report, and meant nothing."""
+    walk = generated_walk()
+    short = replace(walk, name="short", times=walk.times * seconds / walk.duration, loop=loop)
+    registry = Registry()
+    registry.components["clip", "short"] = Component("clip", "short", lambda: short, "test")
+    motion = Motion(MotionOptions(name="short"), registry, Inputs())
+
+    def of(period: float) -> ReferenceMotion:
+        scene = CharacterScene(CharacterScene.Options("humanoid"))
+        sections = {"motion": motion}
+        return reference_motion(
+            Context(0, torch.device("cpu"), 1, control_dt=period, substeps=1, scene=scene, sections=sections)
+        )  # fmt: skip
+
+    with pytest.raises(
+        ConfigError, match=r"Clip short lasts .* less than a control period \(0\.0333"
+    ):
+        of(1 / 30)
+    assert of(seconds).duration == pytest.approx(seconds)

@@ -567,3 +567,106 @@ def test_things_beside_a_robot_are_not_spoken_of(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not scene(tmp_path, added("</worldbody>", BALL)).character.company
+
+
+@pytest.mark.parametrize(
+    "size", ['memory="1K"', 'memory="20K"', 'nconmax="1" njmax="1"', 'nstack="10"']
+)
+def test_sizes_of_a_model_leave_no_contact_out(tmp_path: Path, size: str) -> None:
+    """What does not fit into them, MuJoCo leaves out, or it ends; they knew nothing of the floor that is added."""
+    model = scene(tmp_path, added("<compiler", f"<size {size}/>")).model
+    plain = scene(tmp_path, robot_xml()).model
+    ends = []
+    for one in (model, plain):
+        data = mujoco.MjData(one)
+        data.qpos[2] = 0.1  # lying in the floor: as many contacts as there can be
+        for _ in range(50):
+            mujoco.mj_step(one, data)
+        assert not any(warning.number for warning in data.warning)
+        ends.append(data.qpos.copy())
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_model_may_ask_for_more_memory(tmp_path: Path) -> None:
+    assert scene(tmp_path, added("<compiler", '<size memory="40M"/>')).model.narena == 40 * 2**20
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        '<option><flag contact="disable"/></option>',
+        '<option><flag constraint="disable"/></option>',
+        '<option><flag actuation="disable"/></option>',
+        '<option actuatorgroupdisable="0"/>',
+    ],
+)
+def test_a_model_in_which_nothing_stands_or_moves_is_refused(tmp_path: Path, option: str) -> None:
+    """As one that was only looked at: it fell through the floor, or its servos did nothing, in silence."""
+    named = re.sub(r"</?option>|<option |/>$|=.*", "", option)
+    with pytest.raises(
+        ConfigError, match="switches off what a character stands and moves by"
+    ) as no:
+        scene(tmp_path, added("<compiler", option))
+    assert named in str(no.value)
+
+
+@pytest.mark.parametrize(
+    "other", ['<option actuatorgroupdisable="3"/>', '<option><flag gravity="disable"/></option>']
+)
+def test_what_switches_off_something_else_is_as_the_model_has_it(
+    tmp_path: Path, other: str
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene(tmp_path, added("<compiler", other))
+
+
+@pytest.mark.parametrize(
+    ("tie", "tied"),
+    [
+        ('<weld body1="pelvis"/>', True),
+        ('<connect body1="left_foot" anchor="0 0 0"/>', True),
+        ('<weld body1="pelvis" body2="post"/>', True),
+        ('<weld site1="there" site2="here"/>', True),
+        ('<weld body1="pelvis" body2="crane"/>', True),
+        ('<weld body1="pelvis" active="false"/>', False),
+        ('<weld body1="left_foot" body2="right_foot"/>', False),
+        ('<joint joint1="left_knee" joint2="right_knee"/>', False),
+    ],
+)
+def test_a_figure_that_hangs_on_the_world_is_said(tmp_path: Path, tie: str, tied: bool) -> None:
+    post = '<body name="post"><geom size=".1"/></body><body name="crane" mocap="true"/><site name="there"/>'
+    text = added("</worldbody>", post).replace("<freejoint/>", '<freejoint/><site name="here"/>', 1)
+    text = text.replace("<compiler", f"<equality>{tie}</equality><compiler", 1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene(tmp_path, text)
+    said = [str(one.message) for one in caught]
+    assert any("to the world (<equality>), so it cannot fall" in one for one in said) == tied, said
+
+
+@pytest.mark.parametrize(
+    ("unit", "reach", "said"),
+    [
+        ("degree", 1.57, "none of its hinges turn by more than 2.5 degrees"),
+        ("degree", 90.0, ""),
+        ("radian", 1.57, ""),
+        ("radian", 90.0, "most of its hinges turn by 90 radians"),
+    ],
+)
+def test_ranges_of_the_other_unit_of_angles_are_said(
+    tmp_path: Path, unit: str, reach: float, said: str
+) -> None:
+    """MJCF's unit is the degree where a model says none: radians then hold each hinge fast, and degrees for radians leave it
+    free, in silence."""
+    text = re.sub(
+        r'(<joint name="[^"]*" axis="[01 ]*")/>', rf'\1 range="-{reach} {reach}"/>', robot_xml()
+    )
+    text = text.replace('angle="radian"', f'angle="{unit}"')
+    (tmp_path / "robot.xml").write_text(text)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load(tmp_path / "robot.xml")
+    found = [str(one.message) for one in caught if "hinges turn by" in str(one.message)]
+    assert bool(found) == bool(said)
+    assert said in "".join(found)

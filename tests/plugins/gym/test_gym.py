@@ -468,3 +468,43 @@ def test_pictures_of_no_possible_size_are_refused(size: Any) -> None:
 def test_settings_of_other_types_are_refused(settings: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         gymnasium.make_vec(TOY, num_envs=2, **settings)
+
+
+@pytest.mark.parametrize("make", [partial(gymnasium.make, TOY), many])
+def test_a_seed_among_the_overrides_is_where_episodes_begin(make: Callable[..., Any]) -> None:
+    """As a reset with this seed; with another seed the reset decides, and later episodes go on from there."""
+
+    def first(seed: int | None, *overrides: str) -> tuple[np.ndarray, np.ndarray]:
+        env = make(overrides=[*SHORT["overrides"], *overrides])
+        return env.reset(seed=seed)[0]["state"], env.reset()[0]["state"]
+
+    for known, found in zip(first(3), first(None, "seed=3"), strict=True):
+        np.testing.assert_array_equal(known, found)
+    for known, found in zip(first(3), first(3, "++seed=4"), strict=True):
+        np.testing.assert_array_equal(known, found)
+    assert not np.array_equal(first(None, "seed=3")[0], first(None, "seed=4")[0])
+
+
+@pytest.mark.parametrize("count", [2.0, "2", None, True, float("nan")])
+def test_a_number_of_worlds_that_is_none_is_refused(count: Any) -> None:
+    with pytest.raises(ConfigError, match=r"num_envs=.* is not possible: give a whole number"):
+        many(num_envs=count)
+
+
+def test_a_number_of_worlds_may_be_numpys() -> None:
+    assert many(num_envs=np.int64(2)).reset(seed=0)[0]["state"].shape[0] == 2
+
+
+def test_what_gymnasium_gives_single_environments_alone_is_answered() -> None:
+    with pytest.raises(ConfigError, match=r"max_episode_steps .*'episode\.seconds=5'"):
+        many(max_episode_steps=3)
+    with pytest.raises(ConfigError, match=r"autoreset_mode=7 is not possible"):
+        many(autoreset_mode=7)
+
+
+def test_a_mask_of_rows_of_several_lengths_is_refused() -> None:
+    envs = many()
+    envs.reset(seed=0)
+    for mask in ([[True], [True, False]], "abc", [0, 1, 1], [None, True, True]):
+        with pytest.raises(ValueError, match="reset_mask must be bool of shape"):
+            envs.reset(options={"reset_mask": mask})

@@ -145,3 +145,58 @@ def test_rates_that_contradict_what_else_is_said(
         read_clip(path, registry)
     given = read_clip(path, registry, ReadOptions(rate=30.0))
     assert given.frame_rate == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("between", [False, True])
+@pytest.mark.parametrize(
+    ("of", "every", "asked"),
+    [(1000, 4, True), (1003, 4, True), (120, 4, True), (117, 4, True), (80, 4, True), (720, 6, True),
+     (2000, 20, True), (41, 2, True), (12, 4, False), (300, 1, False)],
+)  # fmt: skip
+def test_short_clips_that_were_thinned_out_are_asked_about(
+    tmp_path: Path, registry: Registry, of: int, every: int, asked: bool, between: bool
+) -> None:
+    """From about four times as many frames as one of which was kept on, whichever the last one is; lengths are of frames,
+    or from the first to the last."""
+    arrays = smpl_arrays(frames=of)
+    thinned = {k: v[::every] if np.shape(v)[:1] == (of,) else v for k, v in arrays.items()}
+    thinned |= {"mocap_framerate": 120.0, "mocap_time_length": (of - between) / 120.0}
+    path = tmp_path / "a.npz"
+    np.savez(path, **thinned)
+    if asked:
+        with pytest.raises(UnderstudyError, match=rf"one frame of {every} were left"):
+            read_clip(path, registry)
+    else:
+        assert read_clip(path, registry).frame_rate == pytest.approx(120.0)
+
+
+@pytest.mark.parametrize("part", [0.3, 0.45, 0.6, 0.9])
+def test_clips_that_were_cut_are_not(tmp_path: Path, registry: Registry, part: float) -> None:
+    arrays = smpl_arrays(frames=100)
+    arrays |= {"mocap_framerate": 120.0, "mocap_time_length": 100 / 120.0 / part}
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert read_clip(tmp_path / "a.npz", registry).frame_rate == pytest.approx(120.0)
+
+
+@pytest.mark.parametrize("name", SAYS)
+@pytest.mark.parametrize("rate", [33_333.0, 8333.0 * 2, 1e6])
+def test_the_microseconds_between_two_frames_are_no_rate(
+    tmp_path: Path, registry: Registry, name: str, rate: float
+) -> None:
+    """Nor are seconds in thousands: a motion of seconds would be over in one sub-step, in silence."""
+    path = SAYS[name](tmp_path, rate)
+    with pytest.raises(FileError, match="nothing that moves is recorded so often"):
+        read_clip(path, registry)
+
+
+@pytest.mark.parametrize("name", SAYS)
+def test_what_high_speed_cameras_and_motors_record_is_read(
+    tmp_path: Path, registry: Registry, name: str
+) -> None:
+    clip = read_clip(SAYS[name](tmp_path, 2000.0), registry)
+    assert clip.frame_rate == pytest.approx(2000.0)
+
+
+def test_a_rate_of_microseconds_is_refused_where_it_is_given() -> None:
+    with pytest.raises(ConfigError, match=r"rate=33333.* the µs between two, the rate is 30"):
+        ReadOptions(rate=33_333)

@@ -284,3 +284,117 @@ def test_every_table_says_what_it_takes(name: str) -> None:
     table = load_table(name, installed())
     assert table.cost or "toy" in name
     assert table.open or "toy" in name
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--rows", ""], "--rows: a name is needed, and there is none, as of an empty variable"),
+        (["--columns", "small,"], "--columns: a name is needed, and in 'small,' there is none"),
+        (["--seeds", ""], "--seeds: a name is needed, and there is none, as of an empty variable"),
+        (["--seeds", "0,0"], "--seeds: 0 stands twice, and is trained once"),
+        (["--seeds=-1"], "--seeds: -1 is not possible: seeds are from 0 to"),
+        (["--seeds", str(2**63)], f"--seeds: {2**63} is not possible: seeds are from 0 to"),
+        (["--seeds", "0-2"], "--seeds: '0-2' is not possible: whole numbers, as in 0,1"),
+        (["run.dir="], "run.dir= names no folder, as of an empty variable"),
+        (["--records", "."], "--records is of the list of all tables"),
+    ],
+)
+def test_a_choice_of_nothing_is_not_one_of_everything(
+    offered: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    why: str,
+) -> None:
+    """As of a variable of a script that is not set, with which all of the table would be trained."""
+    offered(TABLE)
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert reproduce("mine/one", "--card", *words) == 2
+    assert why in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("word", ["--card", "--rows=calm", "--columns=small", "--seeds=0"])
+def test_what_is_of_one_table_is_not_taken_for_the_list(
+    word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reproduce(word) == 2
+    assert "is of one table: name it, PAPER/TABLE, too" in capsys.readouterr().err
+
+
+def test_names_may_have_blanks_around_them(offered: Callable[[str], Path], tmp_path: Path) -> None:
+    offered(TABLE)
+    words = ("--rows", "calm , quick", "--columns", " small", "--seeds", "0, 1")
+    assert reproduce("mine/one", "--card", *words, f"run.dir={tmp_path / 'out'}") == 0
+    found = rows_of(tmp_path / "out")
+    assert {(row, column) for row, column, _ in found} == {("calm", "small"), ("quick", "small")}
+
+
+@pytest.mark.parametrize("typed", ["'{}'", '"{}"', "{}"])
+def test_a_folder_is_named_as_everywhere(
+    offered: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
+) -> None:
+    offered(TABLE)
+    monkeypatch.chdir(tmp_path)
+    assert reproduce("mine/one", "--card", "run.dir=" + typed.format("my runs/one")) == 0
+    assert (tmp_path / "my runs/one/card.md").exists()
+    assert reproduce("mine/one", "--card", "run.dir=null") == 0
+    assert (tmp_path / "runs/reproduce/mine/one/card.md").exists()
+
+
+def test_a_card_is_not_written_into_what_is_another_ones(
+    offered: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A training's folder, one with other things, a file, a link to nothing; nothing is left behind."""
+    offered(TABLE)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("{}")
+    for name in ("html/index.html", "card/card.md", "csv/card.csv", "tree/src/code.py"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "dangling").symlink_to("nowhere")
+    before = {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")}
+    for name, why in {
+        "run": "is the run",
+        "run/inner": "is inside the run",
+        "html": "is not new: it holds index.html",
+        "card": "is not new: it holds card.md",
+        "csv": "is not new: it holds card.csv",
+        "tree": "is not new: it holds src/code.py",
+        "file": "is no folder",
+        "file/inner": "cannot be used: Not a directory",
+        "dangling": "is no folder",
+    }.items():
+        for words in (["--card"], [*SMALL, "--seeds", "0"]):
+            assert reproduce("mine/one", *words, f"run.dir={tmp_path / name}") == 2, name
+            assert f"{tmp_path / name} {why}" in capsys.readouterr().err.replace("The folder ", "")
+    assert {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.parametrize("mark", ["reproduction.json", "card.md"])
+def test_no_table_counts_trainings_of_another(
+    offered: Callable[[str], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    mark: str,
+) -> None:
+    """Tables of one paper may call their cells alike; the folder is told by its own file, and before there was one by its card."""
+    file = offered(TABLE)
+    words = (*SMALL, f"run.dir={tmp_path / 'out'}")
+    assert reproduce("mine/one", *words, "--rows", "calm", "--columns", "small") == 0
+    for name in ("reproduction.json", "card.md"):
+        if name != mark:
+            (tmp_path / "out" / name).unlink()
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    for module in (tables, command):
+        monkeypatch.setattr(module, "table_files", lambda plugins: {"mine/other": file})
+    capsys.readouterr()
+    for more in (["--card", words[-1]], words):
+        assert reproduce("mine/other", *more) == 2
+        assert "out holds another table, mine/one. Give run.dir another" in capsys.readouterr().err
+    assert before == {p: p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()}

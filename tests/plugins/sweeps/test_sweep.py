@@ -29,6 +29,7 @@ from understudy.errors import (
     UnderstudyError,
 )
 from understudy.random import WorldStreams
+from understudy.records import runs
 from understudy.running.training import Training
 from understudy.task import Context
 from understudy_skills import bank
@@ -391,6 +392,43 @@ def test_a_sweep_of_an_older_version_goes_on_where_only_options_are_new(
         with pytest.raises(RunError, match="holds another sweep"):
             sweep(tmp_path, TWO, "learner.rate=0.5")
     assert events(tmp_path) == WHOLE
+
+
+@pytest.mark.parametrize("there", ["page.html", "trials.csv", "film.mp4", "src/code.py"])
+def test_a_sweep_begins_in_a_folder_of_its_own(tmp_path: Path, there: str) -> None:
+    """What lies there would be overwritten; notes may lie beside it, and a card that came before the first training."""
+    for name in (there, "notes.txt", "card.md"):
+        (tmp_path / "s" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "s" / name).write_text("mine")
+    before = {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")}
+    with pytest.raises(
+        RunError, match=rf"s is not new: it holds {there}, and no sweep\. Give run\."
+    ):
+        sweep(tmp_path / "s", TWO)
+    assert {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")} == before
+    shutil.rmtree(tmp_path / "s" / Path(there).parts[0], ignore_errors=True)
+    (tmp_path / "s" / there).unlink(missing_ok=True)
+    sweep(tmp_path / "s", TWO)
+    assert (tmp_path / "s" / "card.md").read_text() == "mine"
+
+
+@pytest.mark.parametrize("inner", ["", "inner", "checkpoints"])
+def test_no_sweep_begins_in_a_run(tmp_path: Path, inner: str) -> None:
+    """Its trials would all have failed, as runs inside a run."""
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    (tmp_path / "run" / "run.json").write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(RunError, match=rf"is (inside )?the run {tmp_path / 'run'}\. Give run\.dir"):
+        sweep(tmp_path / "run" / inner, TWO)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_sweep_in_the_root_of_the_disk_is_refused_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(runs, "check_within", lambda folder: pytest.fail("looks through it"))
+    with pytest.raises(RunError, match=r"^/ is not new: it holds "):
+        sweep(Path("/"), TWO)
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", "7"])

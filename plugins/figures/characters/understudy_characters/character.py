@@ -83,11 +83,35 @@ def character_spec(
     ):
         spec = MjcfFile(MjcfFile.Options(named), context).spec()
         _free_root(spec, path.stem)
+        _warn_of_angles(spec, path.stem)
         return path.stem, spec
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
         "URDF file."
     )
+
+
+def _warn_of_angles(spec: mujoco.MjSpec, name: str) -> None:
+    """Say so where the ranges of hinges are as of the other unit of angles: MJCF's is the degree where nothing is said."""
+    ends = sorted(
+        float(np.abs(joint.range).max())
+        for joint in spec.joints
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE and np.any(joint.range)
+    )
+    if len(ends) < 2:
+        return
+    if spec.compiler.degree and ends[-1] <= 2.0 * math.pi:
+        warnings.warn(
+            f"Model '{name}' lets none of its hinges turn by more than {ends[-1]:.3g} degrees. If its ranges are in radians, "
+            'it must say <compiler angle="radian"/>.',
+            stacklevel=2,
+        )
+    elif not spec.compiler.degree and ends[len(ends) // 2] > 4.0 * math.pi:
+        warnings.warn(
+            f"Model '{name}' lets most of its hinges turn by {ends[len(ends) // 2]:.3g} radians, so by any number of turns. "
+            'If its ranges are in degrees, take <compiler angle="radian"/> out.',
+            stacklevel=2,
+        )
 
 
 def _free_root(spec: mujoco.MjSpec, name: str) -> None:

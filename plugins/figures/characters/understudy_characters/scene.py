@@ -91,6 +91,46 @@ def _things(
             yield Thing(surface[0].joint, positions, turns, surface)
 
 
+_FLAGS = {
+    "contact": mujoco.mjtDisableBit.mjDSBL_CONTACT,
+    "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
+    "actuation": mujoco.mjtDisableBit.mjDSBL_ACTUATION,
+}
+_TIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+
+
+def _refuse_what_is_off(name: str, spec: mujoco.MjSpec) -> None:
+    """Raise ConfigError for a model that switches off what a character stands and moves by, as one that is only looked at."""
+    option = spec.option
+    off = [f'<flag {flag}="disable"/>' for flag, bit in _FLAGS.items() if option.disableflags & bit]
+    if any(option.disableactuator >> one.group & 1 for one in spec.actuators):
+        off.append("actuatorgroupdisable=…")
+    if off:
+        raise ConfigError(
+            f"Model '{name}' switches off what a character stands and moves by: {', '.join(off)}. Take that out of its "
+            "<option>."
+        )
+
+
+def _warn_of_ties(name: str, character: Character) -> None:
+    """Say so where the figure is held by the world, as in a gantry: it cannot fall."""
+    model, own = character.model, set(character.carrier)
+    for k in range(model.neq):
+        if model.eq_type[k] not in _TIES:
+            continue
+        pair = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
+        if model.eq_objtype[k] == int(mujoco.mjtObj.mjOBJ_SITE):
+            pair = [int(model.site_bodyid[site]) for site in pair]
+        held = [model.body_weldid[body] == 0 or model.body_mocapid[body] >= 0 for body in pair]
+        if model.eq_active0[k] and any(held) and not own.isdisjoint(pair):
+            body = next(model.body(one).name for one in pair if one in own)
+            warnings.warn(
+                f"Model '{name}' ties its body '{body}' to the world (<equality>), so it cannot fall or leave that place; "
+                "take the tie out of the file if it should.",
+                stacklevel=3,
+            )
+
+
 class CharacterScene(MujocoScene):
     """One character on a floor, each of its joints driven by a position servo, and what the config
     sections that are :class:`Surroundings` put around it."""
@@ -137,6 +177,8 @@ class CharacterScene(MujocoScene):
             else timestep
         )
         drive(spec, character, timestep, servos, longest)
+        _refuse_what_is_off(name, spec)
+        _warn_of_ties(name, character)
         spec.modelname = name
         spec.option.timestep = timestep
         if options.solver == "fast":
@@ -285,9 +327,21 @@ def _compiled(name: str, spec: mujoco.MjSpec, named: str) -> Character:
 
 
 def reference_motion(context: Context) -> ReferenceMotion:
-    """The task's reference motion, built once from the config section ``motion``."""
+    """The task's reference motion, built once from the config section ``motion``.
+
+    Raises
+    ------
+    ConfigError
+        its clip is over before anything of it is compared.
+    """
     scene = context.need_scene(CharacterScene, "the reference motion")
     motion = context.need_section("motion", Motion, "the reference motion")
+    clip, period = motion.clip, context.control_dt
+    if clip.duration < period - 1e-9:
+        raise ConfigError(
+            f"Clip {clip.name} lasts {clip.duration:.3g} s, less than a control period ({period:.3g} s), so nothing of it is "
+            "seen. Take a longer one, see whether its frame rate is right, or raise control.frequency."
+        )
     return context.once(
         "reference_motion",
         lambda: ReferenceMotion(

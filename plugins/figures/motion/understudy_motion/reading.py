@@ -31,6 +31,8 @@ METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254
 HEAD_BYTES = 4096
 SLOWEST_RATE = 1.0
 """Frames per second of a motion, at least."""
+FASTEST_RATE = 10_000.0
+"""And at most: high-speed cameras record people at 2000, robots log a motor at up to 10 000."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ def metres_of(unit: Unit) -> float:
 
 def no_rate(rate: float) -> str:
     """Why so many frames per second are none, empty if they may be: the seconds between two of them are often given."""
+    if rate > FASTEST_RATE:
+        return f"nothing that moves is recorded so often; if these are the µs between two, the rate is {1e6 / rate:.4g}"
     if rate >= SLOWEST_RATE:
         return ""
     apart = f"{1.0 / rate:.4g}"
@@ -167,7 +171,13 @@ def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> 
             raise FileError(
                 f"Clip {path}: files of this kind say {said}; leave motion.{name}={given} (--{flag}) out."
             )
-    return reader.read(path, options)
+    clip = reader.read(path, options)
+    if (rate := 1.0 / float(clip.times.diff().median())) > FASTEST_RATE:
+        raise FileError(
+            f"Clip {path}: its frames are {1.0 / rate:.3g} s apart, {rate:.4g} a second, and nothing that moves is recorded "
+            "so often. Write its times in seconds, or give motion.rate (--source-rate)."
+        )
+    return clip
 
 
 def reader_of(path: Path, registry: Registry) -> ClipReader:

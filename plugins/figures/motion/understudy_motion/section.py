@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
+
+from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
-from understudy_motion.editing import close_loop, evenly_spaced
+from understudy_motion.editing import close_loop, evenly_spaced, shift
 from understudy_motion.keyframes import keyframed
 from understudy_motion.reading import Axis, ReadOptions, Unit
 
@@ -45,6 +50,37 @@ class MotionOptions:
         check_range(self, "close_loop", above=0.0)
 
 
+#: m from the origin beyond which a clip is brought there: float32, in which worlds are simulated, has steps of 8 µm at 100
+#: m, and of 8 mm at 100 km, as deep as feet sink in.
+_FAR = 100.0
+
+
+def _near(clip: Clip) -> Clip:
+    """`clip`, moved in the plane so that it begins at the origin where it begins far away, as in a map's coordinates."""
+    x, y = clip.root_position[0, :2].tolist()
+    if (away := math.hypot(x, y)) <= _FAR:
+        return clip
+    warnings.warn(
+        f"Clip {clip.name} begins {away:.4g} m from the origin; here it begins there, since numbers are coarse so far away.",
+        stacklevel=3,
+    )
+    return shift(clip, torch.tensor([-x, -y, 0.0], dtype=clip.root_position.dtype))
+
+
+def _closed(clip: Clip, seconds: float, loop: bool | None) -> Clip:
+    """`clip`, made to repeat over so many `seconds`; ConfigError if it has not got them, or is said not to `loop`."""
+    asked = f"motion.close_loop={seconds:g} is not possible"
+    if loop is False:
+        raise ConfigError(f"{asked} beside motion.loop=false. Leave one of them out.")
+    least, most = clip.duration / (clip.num_frames - 1), 0.5 * clip.duration
+    if not least - 1e-9 <= seconds <= most + 1e-9:
+        raise ConfigError(
+            f"{asked}: the clip {clip.name} lasts {clip.duration:.4g} s, {least:.4g} s a frame. Give between a frame and "
+            f"half of the clip: {least:.4g} to {most:.4g}."
+        )
+    return close_loop(clip, seconds)
+
+
 class Motion:
     """The chosen clip and where it came from."""
 
@@ -60,11 +96,15 @@ class Motion:
             file = str(
                 inputs.file(asked, lambda: library.files(name, options.file, registry, reading))
             )
-        self.clip: Clip = library.load(name, file, registry, options.parameters, reading)
+        self.clip: Clip = _near(library.load(name, file, registry, options.parameters, reading))
         if options.close_loop is not None:
-            self.clip = close_loop(evenly_spaced(self.clip), options.close_loop)
-        if options.keys is not None:
-            self.clip = keyframed(self.clip, options.keys)
+            self.clip = _closed(evenly_spaced(self.clip), options.close_loop, options.loop)
+        if (keys := options.keys) is not None:
+            if keys > (most := self.clip.num_frames):
+                raise ConfigError(
+                    f"motion.keys={keys} is not possible: the clip {self.clip.name} has {most} frames. Give fewer."
+                )
+            self.clip = keyframed(self.clip, keys)
 
     def provenance(self) -> dict[str, Any]:
         clip = self.clip

@@ -71,12 +71,12 @@ class UnderstudyEnv(gymnasium.Env):
         self._seeded = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """A seed makes what follows repeat exactly; without one, ever, the episodes are other ones in
-        every process."""
+        """A seed makes what follows repeat exactly; without one, ever, here or in the overrides, the episodes
+        are other ones in every process."""
         check_reset(seed, options)
         super().reset(seed=seed)
         if seed is None and not self._seeded:
-            seed = int(self.np_random.integers(2**31))
+            seed = _first_seed(self)
         self._seeded = True
         return self._observed(self.worlds.environment.reset(seed)), {}
 
@@ -131,7 +131,7 @@ class UnderstudyVectorEnv(VectorEnv):
     Raises
     ------
     ConfigError
-        for another ``autoreset_mode``.
+        for another ``autoreset_mode``, and for ``max_episode_steps`` of ``make_vec``.
     """
 
     def __init__(
@@ -145,22 +145,27 @@ class UnderstudyVectorEnv(VectorEnv):
         **settings: Any,
     ) -> None:
         self._mode = _mode(autoreset_mode)
+        if "max_episode_steps" in settings:
+            raise ConfigError(
+                "max_episode_steps is not possible for worlds that are stepped together. Say how long an episode is: "
+                "overrides=['episode.seconds=5']."
+            )
         self.worlds = Worlds(task, num_envs, overrides, **settings)
         self.render_mode = self.worlds.render_mode
-        self.num_envs, self._flat = num_envs, flat
+        self.num_envs, self._flat = self.worlds.num_worlds, flat
         self.metadata = {**_metadata(self.worlds), "autoreset_mode": self._mode}
         self.single_observation_space = self.worlds.observation_space(flat)
         self.single_action_space = self.worlds.action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._ended = torch.zeros(num_envs, dtype=torch.bool, device=self.worlds.device)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._ended = torch.zeros(self.num_envs, dtype=torch.bool, device=self.worlds.device)
         self._seeded = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin new episodes everywhere, or where ``options["reset_mask"]`` (N,) bool is true.
 
-        A seed makes what follows repeat exactly; without one, ever, the episodes are other ones in
-        every process.
+        A seed makes what follows repeat exactly; without one, ever, here or in the overrides, the episodes are
+        other ones in every process.
 
         Raises
         ------
@@ -172,9 +177,9 @@ class UnderstudyVectorEnv(VectorEnv):
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")
         if mask is not None:
-            return self._begin(np.asarray(mask), seed), {}
+            return self._begin(_mask(mask), seed), {}
         if seed is None and not self._seeded:
-            seed = int(self.np_random.integers(2**31))
+            seed = _first_seed(self)
         self._seeded = True
         self._ended.zero_()
         return _arrays(self.worlds.environment.reset(seed), self._flat), {}
@@ -183,7 +188,7 @@ class UnderstudyVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(
                 f"reset_mask must be bool of shape ({self.num_envs},), true somewhere; it is "
-                f"{mask.dtype} of shape {mask.shape}, true {int(mask.astype(bool).sum())} times."
+                f"{mask.dtype} of shape {mask.shape}, true {np.count_nonzero(mask)} times."
             )
         if seed is not None or not self._seeded:
             raise ValueError(
@@ -267,9 +272,23 @@ class UnderstudyVectorEnv(VectorEnv):
         self.worlds.environment.close()
 
 
+def _first_seed(env: UnderstudyEnv | UnderstudyVectorEnv) -> int:
+    """Where episodes begin as long as no reset was given a seed."""
+    chosen = env.worlds.seed
+    return int(env.np_random.integers(2**31)) if chosen is None else chosen
+
+
 def _row(action: Any) -> Any:
     """A batch of one world; rows of several lengths, which no array has, are refused later."""
     return [action] if isinstance(action, list | tuple) else np.asarray(action)[None]
+
+
+def _mask(mask: Any) -> np.ndarray:
+    """As an array; rows of several lengths, which none has, are refused later, as None is."""
+    try:
+        return np.asarray(mask)
+    except ValueError:
+        return np.asarray(None)
 
 
 def _check_begun(begun: bool) -> None:
@@ -283,7 +302,7 @@ def _mode(mode: AutoresetMode | str) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     for known in AutoresetMode:
-        if mode.upper() in (known.name, known.value.upper()):
+        if str(mode).upper() in (known.name, known.value.upper()):
             return known
     names = ", ".join(known.name for known in AutoresetMode)
     raise ConfigError(f"autoreset_mode={mode!r} is not possible: there is {names}.")

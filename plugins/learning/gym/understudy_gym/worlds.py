@@ -108,7 +108,9 @@ class Worlds:
     num_worlds
         N.
     overrides
-        Hydra's, as on the command line (``device=cuda``, ``episode.seconds=5``).
+        Hydra's, as on the command line (``device=cuda``, ``episode.seconds=5``). With ``seed=3`` the first
+        episodes begin as after a reset with this seed, too; so copies of one environment, as in Gymnasium's own vector
+        environments, begin alike until a reset has a seed.
     actions
         ``scaled`` takes actions in [-1, 1] by :class:`ActionScale`; ``raw`` takes the task's,
         unbounded and in its units.
@@ -155,6 +157,11 @@ class Worlds:
             raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
         if not isinstance(overrides, Sequence) or not all(isinstance(o, str) for o in overrides):
             raise ConfigError(f"overrides={overrides!r} must be a list of texts: ['KEY=VALUE'].")
+        if not isinstance(num_worlds, int | np.integer) or isinstance(num_worlds, bool):
+            raise ConfigError(
+                f"num_envs={num_worlds!r} is not possible: give a whole number from 1."
+            )
+        num_worlds = int(num_worlds)
         _refuse_overruled(task, num_worlds, overrides)
         self._made_with = (task, num_worlds, tuple(overrides)), {
             "actions": actions, "action_scale": action_scale, "render_mode": render_mode,
@@ -164,6 +171,8 @@ class Worlds:
         built = build_environment(experiment)
         self.environment, self._scene = built.environment, built.scene
         self.num_worlds, self.device = num_worlds, built.environment.device
+        #: Where the first episodes begin unless a reset says otherwise: what `overrides` have as ``seed``, else None.
+        self.seed = experiment.root.seed if "seed" in _given(overrides) else None
         #: Steps after which an episode is truncated, unless a curriculum shortens it.
         self.episode_steps = round(
             experiment.root.episode.seconds / built.environment.control_dt / self._decision
@@ -325,8 +334,7 @@ class Worlds:
 
 def _refuse_overruled(task: str, num_worlds: int, overrides: Sequence[str]) -> None:
     """Raise :class:`ConfigError` for `overrides` of what is said beside them: of two, one would be overruled in silence."""
-    words = [override.lstrip("+~").partition("=") for override in overrides]
-    given = {key: value.strip("'\" ") for key, _, value in words}
+    given = _given(overrides)
     if (worlds := given.get("num_worlds")) not in (None, str(num_worlds)):
         are = "this is one world" if num_worlds == 1 else f"there are {num_worlds}"
         raise ConfigError(
@@ -341,6 +349,12 @@ def _refuse_overruled(task: str, num_worlds: int, overrides: Sequence[str]) -> N
         raise ConfigError(
             f"overrides has {how}={given[how]}, but the task is {task}. Make {chosen or 'the other one'} with these overrides."
         )
+
+
+def _given(overrides: Sequence[str]) -> dict[str, str]:
+    """By key, what `overrides` set it to."""
+    words = [override.lstrip("+~").partition("=") for override in overrides]
+    return {key: value.strip("'\" ") for key, _, value in words}
 
 
 def columns(space: ActionSpace, actions: Any, worlds: int, device: torch.device) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 from understudy.random import WorldStreams
 from understudy.running.environment import Environment
 from understudy.running.soundness import without_unsound
+from understudy.running.step import Step
 from understudy.task import Rollout
 from understudy_reinforcement.policy import Policy
 
@@ -33,6 +35,9 @@ class Collector:
         self.streams = WorldStreams(seed, "actions", environment.num_worlds, environment.device)
         #: By reward term, where there are several: what it gave to the steps of the last rollout, on average.
         self.rewarded: dict[str, float] = {}
+        self._first = True  #: whether nothing was stepped yet in this process
+        #: s: what the last rollout's steps took before they were steps, since kernels had to be compiled for them.
+        self.compiling = 0.0
 
     @torch.no_grad()
     def collect(self, steps: int) -> Rollout:
@@ -59,6 +64,7 @@ class Collector:
         )
         environment.next_fields = self._next_fields
         given: dict[str, Tensor] = {}
+        self.compiling = 0.0
         for t in range(steps):
             observations = environment.observations
             for name, value in observations.items():
@@ -69,7 +75,7 @@ class Collector:
             action = distribution.sample(self.streams)
             rollout.actions[t] = action
             rollout.log_probs[t] = distribution.log_prob(action)
-            step = environment.step(action)
+            step = self._step(action)
             rollout.rewards[t] = step.rewards
             for name, value in environment.rewarded.items():
                 given.setdefault(name, empty())[t] = value
@@ -88,3 +94,14 @@ class Collector:
         several = given if len(given) > 1 else {}
         self.rewarded = {k: float(without_unsound(v.flatten()).mean()) for k, v in several.items()}
         return rollout
+
+    def _step(self, action: Tensor) -> Step:
+        """One of the environment's; how long the first takes, which on a new machine is a minute, is `compiling`."""
+        if not self._first:
+            return self.environment.step(action)
+        began, device = time.perf_counter(), self.environment.device
+        step, self._first = self.environment.step(action), False
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        self.compiling = time.perf_counter() - began
+        return step

@@ -169,6 +169,7 @@ class Reinforcement(Job):
         return {
             "collect_share": (collected - began) / (ended - began),
             "consumed": rollout.rewards.numel() * distributed.size(),
+            "compiling": self.collector.compiling,
             "reward": float(rollout.rewards.mean()),
             **{f"reward/{k}": v for k, v in self.collector.rewarded.items()},
             **{f"episode/{k}": v for k, v in episodes.items()},

@@ -41,11 +41,17 @@ _WAYS = {
 }
 """What to do where MuJoCo's reason begins so."""
 
+_MEMORY = 16 * 2**20
+"""Bytes for contacts and what is computed in a step, at least: about as much as MuJoCo takes where a model says nothing."""
+
 _passed: set[bytes] = set()
 
 
 def spec_of(model: Mjcf) -> mujoco.MjSpec:
     """What MuJoCo makes of `model`. A URDF's first link is free: the format has no floating base.
+
+    Sizes that a model states (``<size memory>``) are for what its author did with it. What does not fit, such as contacts
+    with a floor that is added, MuJoCo leaves out; so they are only made larger.
 
     Raises
     ------
@@ -53,6 +59,8 @@ def spec_of(model: Mjcf) -> mujoco.MjSpec:
         it refuses it.
     """
     spec = mujoco.MjSpec.from_string(model.text, assets=dict(model.assets))
+    spec.nconmax = spec.njmax = spec.nstack = -1
+    spec.memory = max(spec.memory, _MEMORY) if spec.memory >= 0 else -1
     if model.urdf:
         base = spec.worldbody.first_body()
         if base is not None and not list(base.joints):

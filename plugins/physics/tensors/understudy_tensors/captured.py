@@ -64,6 +64,8 @@ class Captured(Generic[T]):
         kind = environment.decision
         if kind in self._graphs:
             capture = self._graphs[kind]
+            if action.shape != capture.action.shape:  # a copy would spread it over all worlds
+                return self._work(action)  # which refuses it
             capture.action.copy_(action)
             capture.graph.replay()
             environment.table.values = dict(capture.values)

@@ -9,10 +9,11 @@ from pathlib import Path
 from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError, UnderstudyError
 from understudy.folders import check_within
-from understudy.setup.composition import replaced
+from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
 from understudy_reproduce.comparison import Comparison
+from understudy_reproduce.owners import belongs_to
 from understudy_reproduce.tables import PaperTable, load_table, table_files
 from understudy_sweeps.sweep import sweep
 from understudy_sweeps.trial import written
@@ -46,6 +47,7 @@ class Reproduce(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         plugins = installed()
+        _refuse_what_does_not_go_together(options)
         if options.table is None:
             records = records_of(options.records)
             for name in table_files(plugins):
@@ -59,27 +61,41 @@ class Reproduce(Command):
         table = whole.only(options.rows, options.columns, options.seeds)
         if whole.command:
             raise ConfigError(f"{options.table} is made by another command: {whole.command}")
-        folder = folder_of(options.table)
-        for override in options.overrides:
-            if override.lstrip("+").startswith("run.dir="):
-                folder = Path(override.partition("=")[2])
-        if folder.exists():
-            check_within(folder)
-        if table.searches:
-            comparison = Comparison(options.table, table, folder, options.overrides)
-            if not options.card:
-                comparison.run()
-            path = comparison.write()
-            print(comparison.text())
-            print(f"card: {path}")
-            return 0
-        if not options.card:
-            sweep([*experiment_of(whole), *overrides_of(table, folder, options.overrides)])
-        card = Card(options.table, table, folder)
-        path = card.write()
+        folder = _given_folder(options.overrides) or folder_of(options.table)
+        with belongs_to(options.table, folder):
+            if table.searches:
+                card: Comparison | Card = Comparison(
+                    options.table, table, folder, options.overrides
+                )
+                if not options.card:
+                    card.run()
+            else:
+                if not options.card:
+                    sweep([*experiment_of(whole), *overrides_of(table, folder, options.overrides)])
+                card = Card(options.table, table, folder)
+            path = card.write()
         print(card.text())
         print(f"card: {path}")
         return 0
+
+
+def _refuse_what_does_not_go_together(options: argparse.Namespace) -> None:
+    """Raise ConfigError on words that would be left unused: the list is of all tables, and a table has its own card."""
+    if options.table is not None and options.records is not None:
+        raise ConfigError("--records is of the list of all tables. Leave it or the table out.")
+    if options.table is None:
+        asked = [
+            f"--{name}" for name in ("rows", "columns", "seeds", "card") if getattr(options, name)
+        ]
+        for word in (*asked, *options.overrides):
+            raise ConfigError(f"{word} is of one table: name it, PAPER/TABLE, too.")
+
+
+def _given_folder(overrides: list[str]) -> Path | None:
+    """What ``run.dir`` is among `overrides`, read as everywhere; None without one."""
+    given = [override for override in overrides if override.lstrip("+").startswith("run.dir=")]
+    named = compose_raw(given)["run"]["dir"] if given else None
+    return None if named is None else Path(named)
 
 
 def _refuse_what_is_not_used(words: list[str], *, card: bool) -> None:
@@ -151,13 +167,29 @@ def overrides_of(table: PaperTable, folder: Path, given: list[str]) -> list[str]
 
 
 def _names(text: str) -> tuple[str, ...]:
-    return tuple(part for part in text.split(",") if part)
+    names = tuple(part.strip() for part in text.split(","))
+    if not all(names):
+        what = (
+            f"in '{text}' there is none"
+            if len(names) > 1
+            else "there is none, as of an empty variable"
+        )
+        raise argparse.ArgumentTypeError(f"a name is needed, and {what}")
+    return names
 
 
 def _numbers(text: str) -> tuple[int, ...]:
     try:
-        return tuple(int(part) for part in _names(text))
+        found = tuple(int(part) for part in _names(text))
     except ValueError:
         raise argparse.ArgumentTypeError(
             f"'{text}' is not possible: whole numbers, as in 0,1"
         ) from None
+    for seed in found:
+        if not 0 <= seed < 2**63:
+            raise argparse.ArgumentTypeError(
+                f"{seed} is not possible: seeds are from 0 to 2^63 - 1"
+            )
+        if found.count(seed) > 1:
+            raise argparse.ArgumentTypeError(f"{seed} stands twice, and is trained once")
+    return found

@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import os
 import re
 import signal
 import sys
@@ -65,6 +66,7 @@ def sweep(overrides: Sequence[str]) -> int:
     work = Work(given, str(folder), root.device)
     _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
     executor: Executor = experiment.need("executor").build(work)
+    _refuse_other_things(folder)  # before the lock looks through all of it, as of /
     book = runs.Run(_made(folder), {})
     try:
         book.lock()
@@ -302,6 +304,31 @@ def _slug(overrides: Sequence[str]) -> str:
     added to, are not told apart by what they compare."""
     name = re.sub(r"[^A-Za-z0-9_]+", "-", _named(overrides) or "").strip("-")
     return f"{name}-" if name else ""
+
+
+#: Of a sweep's folder: what makes it one that can go on; and what it would overwrite or be mixed with.
+_OURS = ("sweep.json", "journal.jsonl")
+_THEIRS = ("page.*", "film.mp4", "trials.csv", "table.csv", "summary.json", "[!.]*/*")
+
+
+def _refuse_other_things(folder: Path) -> None:
+    """Raise RunError if a sweep that begins in `folder` would lie in a run, or with other things."""
+    try:
+        place = Path(os.path.realpath(folder))
+        for outer in (
+            above for above in (place, *place.parents) if os.path.lexists(above / "run.json")
+        ):
+            where = "is" if outer == place else "is inside"
+            raise RunError(f"{folder} {where} the run {outer}. Give run.dir a folder elsewhere.")
+        if any(os.path.lexists(folder / name) for name in _OURS):
+            return
+        for left in (file for name in _THEIRS for file in folder.glob(name)):
+            raise RunError(
+                f"{folder} is not new: it holds {left.relative_to(folder)}, and no sweep. Give run.dir a folder that is "
+                "new or empty, or a sweep's."
+            )
+    except OSError as error:
+        raise RunError(f"The folder {folder} cannot be used: {error.strerror}.") from error
 
 
 def _made(folder: Path) -> Path:

@@ -1,4 +1,7 @@
-"""What there is, as text or JSON."""
+"""What there is, as text or JSON.
+
+What composes and builds is imported by the commands that need it: lists of what there is come without torch.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,8 @@ from typing import Any
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
-from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_inspect.catalogue import offers
-from understudy_inspect.describe import describe, names, observed, read_by_parts
-from understudy_inspect.origins import all_origins
-from understudy_inspect.replay import replay_step
 
 #: What there is, each with what is said of it by name.
 Rows = list[dict[str, Any]]
@@ -136,6 +135,8 @@ class Describe(Command):
         )
 
     def run(self, options: argparse.Namespace) -> int:
+        from understudy_inspect.describe import describe, names, observed, read_by_parts
+
         plugins, part, words = installed(), options.part, options.overrides
         if words and (joined := "/".join([part, *words])) in names(plugins):
             raise ConfigError(
@@ -167,6 +168,9 @@ class ShowConfiguration(Command):
         parser.add_argument("--json", action="store_true", help="plain JSON, without origins")
 
     def run(self, options: argparse.Namespace) -> int:
+        from understudy.setup.composition import load_experiment
+        from understudy_inspect.origins import all_origins
+
         experiment = load_experiment(options.overrides)
         effective = experiment.effective()
         if options.json:
@@ -194,6 +198,8 @@ class Replay(Command):
             raise RunError(
                 f"{options.run} has no step to repeat: in no run of that name did numbers go wrong (faults/step.json)."
             )
+        from understudy_inspect.replay import replay_step
+
         found = replay_step(dump)
         for world, failed in zip(found.worlds.tolist(), found.failed.tolist(), strict=True):
             print(f"world {world}: {'goes wrong again' if failed else 'stays sound this time'}")

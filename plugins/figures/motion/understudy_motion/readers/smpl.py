@@ -18,6 +18,7 @@ pelvis, from which it differs by the body's pelvis in its model, a constant (som
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
@@ -333,8 +334,11 @@ def _check_length(path: Path, archive: Archive, frames: int, rate: float) -> Non
     except FileError:  # nothing else is taken from it
         return
     times = length * rate / max(frames, 1)
-    whole = round(times) if times < _MOST_LEFT_OUT else 0
-    if whole >= 2 and abs(times - whole) <= _SAME * whole + whole**2 / frames < 0.25:
+    whole = math.ceil(times - _SAME * times) if times < _MOST_LEFT_OUT else 0
+    # After the last frame that was kept, up to all but one of those to the next were left out; and some
+    # writers' lengths are those between frames.
+    less = whole / max(frames, 1)
+    if whole >= 2 and less < 0.25 and whole - times <= less + _SAME * whole:
         raise FileError(
             f"Clip {path}: its {frames} frames at {rate:g} a second last {frames / rate:.4g} s, and its {_LENGTH} is "
             f"{length:.4g} s, as if one frame of {whole} were left; give motion.rate (--source-rate), {rate / whole:.4g} "
