@@ -308,6 +308,20 @@ def test_no_training_is_mixed_with_other_things(
     assert [p for p in (tmp_path / "run").rglob("*") if p.is_file()] == [file]
 
 
+def test_a_folder_that_holds_things_is_refused_before_anything_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Building may take minutes, as where a garment settles."""
+    (tmp_path / "report.html").write_text("mine")
+    monkeypatch.setattr(workflow, "Training", lambda *_: pytest.fail("it is built first"))
+    assert main(["train", "experiment=miniature/go", f"run.dir={tmp_path}"]) == 2
+    assert "is not new: it holds report.html" in capsys.readouterr().err
+    long = "x" * 300
+    monkeypatch.undo()
+    assert main(["train", "experiment=miniature/go", f"run.dir={tmp_path / long}"]) == 2
+    assert "cannot be made: File name too long" in capsys.readouterr().err
+
+
 def test_a_run_begins_beside_notes_and_what_a_killed_one_left(
     plugins: Plugins, tmp_path: Path
 ) -> None:

@@ -44,11 +44,19 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import refuse_code, validate
 from understudy.task import State
 
-__all__ = ["Run", "cores", "create", "differences", "newest_state", "open_run", "versions"]
+__all__ = [
+    "Run",
+    "cores",
+    "create",
+    "differences",
+    "newest_state",
+    "open_run",
+    "refuse_a_second",
+    "versions",
+]
 
 LAYOUT = 3  #: version of the folder's layout
 _METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it
-#: What a new run would overwrite, go on with or be taken for, in a folder that is there already.
 _LEFT = ("metrics.jsonl", "evaluation*.json", "*.npz", "*.html", "*.mp4", "[!.]*/*")
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
@@ -257,11 +265,11 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     with contextlib.ExitStack() as undo:
         try:
             path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
-            _refuse_a_second(path)  # before `lock` looks through all of it, as of /
+            refuse_a_second(path)  # before `lock` looks through all of it, as of /
             path.mkdir(parents=True, exist_ok=True)
             run = Run(path, info, registry)
             run.lock()
-            _refuse_a_second(path)  # that another process has made meanwhile
+            refuse_a_second(path)  # that another process has made meanwhile
             if os.listdir(path) == [".lock"]:  # whole, or not at all
                 undo.callback(shutil.rmtree, path, ignore_errors=True)
             for folder in ("checkpoints", "faults"):
@@ -275,7 +283,8 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     return run
 
 
-def _refuse_a_second(path: Path) -> None:
+def refuse_a_second(path: Path) -> None:
+    """Raise RunError if a new run in `path` would overwrite, or be taken for, what is there."""
     if (path / "run.json").exists():
         raise RunError(
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "

@@ -35,6 +35,9 @@ def train(overrides: Sequence[str]) -> int:
     experiment = load_experiment(overrides)
     processes.start(experiment.root.device)
     with _together(experiment):
+        if distributed.rank() == 0 and (folder := experiment.root.run.dir):
+            with contextlib.suppress(OSError):  # which making it tells of
+                runs.refuse_a_second(Path(folder))  # not after the minutes that building may take
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
             for note in training.job.notes():
