@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from importlib import metadata
 from pathlib import Path
 
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,9 +38,14 @@ def brought(extras: tuple[str, ...]) -> dict[str, str]:
 
 
 def locked() -> dict[str, str]:
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
-    pairs = [line.split("==") for line in lines if line and not line.startswith("#")]
-    return {canonicalize_name(name): version for name, version in pairs}
+    """By name, the version of what this Python is to have."""
+    here = [line for line in lines() if line.marker is None or line.marker.evaluate()]
+    return {canonicalize_name(line.name): str(line.specifier).removeprefix("==") for line in here}
+
+
+def lines() -> list[Requirement]:
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    return [Requirement(line) for line in text if line and not line.startswith("#")]
 
 
 def test_everything_that_is_brought_is_locked() -> None:
@@ -53,3 +60,21 @@ def test_a_lower_bound_is_not_above_the_lock() -> None:
         version = pinned.get(canonicalize_name(needed.name))
         assert version is not None, f"{needed.name} is not locked"
         assert needed.specifier.contains(version, prereleases=True), f"{line}: {version} is locked"
+
+
+def test_the_oldest_python_can_have_what_is_locked() -> None:
+    """That of a distribution that is kept for years, such as 3.11.2, for which a line of its own may say another version."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    oldest = settings["project"]["requires-python"].removeprefix(">=") + ".0"
+    refused = set()
+    for line in lines():
+        if line.marker is not None and not line.marker.evaluate({"python_full_version": oldest}):
+            continue
+        try:
+            needed = metadata.metadata(line.name)["Requires-Python"]
+        except metadata.PackageNotFoundError:  # of another platform, or extra
+            continue
+        other = metadata.version(line.name).partition("+")[0] not in str(line.specifier)
+        if not other and needed and not SpecifierSet(needed).contains(oldest):
+            refused.add(f"{line.name} needs {needed}")
+    assert refused == set()
