@@ -73,6 +73,18 @@ class _Leading(Gathering):
         """Adds to :attr:`_kept` states of such a way, that of decision k being ``at(k)``, or ``at(k, until)`` with the poses
         that follow until that decision and then its own."""
 
+    def _keep_halves(
+        self, places: list[Place], at: Callable[..., dict[str, Tensor]], end: str, every: int, torn: float
+    ) -> None:  # fmt: skip
+        """Keeps the first state as ``ends`` and the last as `end`; between them one of `every` so many decisions, where the area
+        ratio is below `torn`, as ``far`` in the first half of the way and as ``near`` in the second."""
+        last = len(places) - 1
+        self._kept["ends"].append(at(0))
+        self._kept[end].append(at(last))
+        for k in range(every, last, every):
+            if places[k].ratio < torn:
+                self._kept["far" if 2 * k < last else "near"].append(at(k))
+
     @property
     @abstractmethod
     def _longest(self) -> float:
@@ -375,12 +387,7 @@ class LeadGrip(_Leading):
         return places, way, False
 
     def _keep(self, places: list[Place], at: Callable[..., dict[str, Tensor]]) -> None:
-        last = len(places) - 1
-        self._kept["ends"].append(at(0))
-        self._kept["taken"].append(at(last))
-        for k in range(self.options.keep, last, self.options.keep):
-            if places[k].ratio < self.options.torn:
-                self._kept["far" if 2 * k < last else "near"].append(at(k))
+        self._keep_halves(places, at, "taken", self.options.keep, self.options.torn)
 
 
 class LeadRest(_Leading):
@@ -433,9 +440,4 @@ class LeadRest(_Leading):
         return places, way, True
 
     def _keep(self, places: list[Place], at: Callable[..., dict[str, Tensor]]) -> None:
-        last = len(places) - 1
-        self._kept["ends"].append(at(0))
-        self._kept["rested"].append(at(last))
-        for k in range(self.options.keep, last, self.options.keep):
-            if places[k].ratio < self.options.torn:
-                self._kept["far" if 2 * k < last else "near"].append(at(k))
+        self._keep_halves(places, at, "rested", self.options.keep, self.options.torn)
