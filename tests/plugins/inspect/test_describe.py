@@ -167,6 +167,35 @@ def test_all_that_can_be_described() -> None:
     assert {"learner/ppo", "experiment/spacetime/walk", "evaluation"} <= set(names(plugins))
 
 
+@pytest.mark.parametrize("name", ["memory", "memory/"])
+def test_a_kind_alone_lists_its_parts(name: str) -> None:
+    lines = describe(name, installed()).splitlines()
+    assert lines[0] == f"memory: {installed().registry.kinds['memory'].summary}"
+    listed = {line.split()[0]: line.split(maxsplit=1)[1] for line in lines[1:]}
+    assert listed["memory/running_mean"] == "a field's mean over the episode"
+    assert len(listed) == sum(k == "memory" for k, _ in installed().registry.components)
+
+
+def test_a_kind_that_is_almost_one_is_suggested() -> None:
+    with pytest.raises(ConfigError, match=r"^There is nothing called 'encoders'\..*'encoder'\?$"):
+        describe("encoders", installed())
+
+
+def test_a_kind_that_is_a_group_of_the_configuration_lists_both() -> None:
+    options, parts = describe("termination", installed()).split("\n\n")
+    assert options.startswith("termination\n  terms=")
+    assert re.search(r"^  termination/spacetime/com_bound +\S", parts, re.M)
+
+
+def test_a_plugin_alone_lists_its_parts() -> None:
+    lines = describe("spacetime", installed()).splitlines()
+    assert lines[0] == "plugin spacetime"
+    found = [c for c in installed().registry.components.values() if c.plugin == "spacetime"]
+    assert {" ".join(line.split()) for line in lines[1:]} == {
+        f"{c.kind}/{c.name} {c.summary}" for c in found
+    }
+
+
 def test_several_of_one_name() -> None:
     with pytest.raises(
         ConfigError, match=r"^There are several 'bvh': clip_reader/bvh, clip_writer/bvh\.$"

@@ -115,7 +115,7 @@ class Describe(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "part",
-            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; with --observations, --columns or --fields a run folder, too",
+            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; a kind or a plugin alone lists its parts; with --observations, --columns or --fields a run folder, too",
         )
         asked = parser.add_mutually_exclusive_group()
         asked.add_argument(

@@ -43,7 +43,8 @@ _OF_KIND = {
 
 
 def describe(name: str, plugins: Plugins) -> str:
-    """The text about ``KIND/NAME``, a part or a file of options; NAME alone does where it is clear.
+    """The text about ``KIND/NAME``, a part or a file of options; NAME alone does where it is clear. Of a kind, or
+    of a plugin, alone: its parts, a line each.
 
     Raises
     ------
@@ -53,7 +54,8 @@ def describe(name: str, plugins: Plugins) -> str:
     registry = plugins.registry
     kind, _, rest = name.partition("/")
     if (group := _group(name, plugins)) is not None:
-        return _table(name, options_of(group), sentences(group))
+        options = _table(name, options_of(group), sentences(group))
+        return f"{options}\n\n{_kind(name, plugins)}" if name in registry.kinds else options
     if (kind, rest) in registry.components:
         return _component(registry.components[kind, rest], plugins)
     for offer in offers(plugins, kind):
@@ -62,13 +64,17 @@ def describe(name: str, plugins: Plugins) -> str:
     found = [(k, n) for k, n in registry.components if n == name]
     if len(found) == 1:
         return _component(registry.components[found[0]], plugins)
-    typed = [f"{k}/{n}" for k, n in registry.components]
+    typed = [*registry.kinds, *(f"{k}/{n}" for k, n in registry.components)]
     if found:
         raise ConfigError(
             f"There are several '{name}': " + ", ".join(f"{k}/{n}" for k, n in found) + "."
         )
-    if kind in registry.kinds and rest:
+    if kind in registry.kinds:
+        if not rest:
+            return _kind(kind, plugins)
         registry.find(kind, rest)  # says that there is none, and why
+    if of_plugin := [c for c in registry.components.values() if c.plugin == name]:
+        return _lines(f"plugin {name}", of_plugin)
     raise ConfigError(
         f"There is nothing called '{name}'. Write KIND/NAME, as in learner/ppo."
         + (suggestion(name, typed) if "Did you" in suggestion(name, typed) else "")
@@ -175,6 +181,20 @@ def _group(name: str, plugins: Plugins) -> type | None:
     option = options_of(Root).get(name)
     found = option.annotation if option else None
     return found if dataclasses.is_dataclass(found) and isinstance(found, type) else None
+
+
+def _kind(kind: str, plugins: Plugins) -> str:
+    """What a kind is, and each of its parts in a line."""
+    registry = plugins.registry
+    parts = [c for c in registry.components.values() if c.kind == kind]
+    return _lines(f"{kind}: {registry.kinds[kind].summary}", parts)
+
+
+def _lines(head: str, parts: Sequence[Component]) -> str:
+    """A head, then each of the parts as one types it and what it is."""
+    rows = sorted((f"{part.kind}/{part.name}", part.summary) for part in parts)
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join([head, *(f"  {name:<{width}}  {what}".rstrip() for name, what in rows)])
 
 
 def _component(component: Component, plugins: Plugins) -> str:
