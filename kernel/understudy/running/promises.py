@@ -47,7 +47,8 @@ def check(num_worlds: int, who: str, value: Tensor, shape: Shape) -> None:
     """Raise :class:`ConfigError` unless `value` has one row of `shape` for each world."""
     if tuple(value.shape) != (num_worlds, *shape):
         raise ConfigError(
-            f"{who} has shape {tuple(value.shape)}; it must be {(num_worlds, *shape)}, one row per world."
+            f"{who} has shape {tuple(value.shape)}; it must be {(num_worlds, *shape)}, "
+            f"one row of shape {list(shape)} per world."
         )
 
 

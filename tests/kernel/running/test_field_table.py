@@ -206,7 +206,8 @@ def test_a_field_of_another_shape_than_promised() -> None:
     odd = fields(("x",), "y")()
     odd.provides = {"y": (3,)}
     with pytest.raises(
-        ConfigError, match=r"^the field 'y' of part has shape \(4,\); it must be \(4, 3\)"
+        ConfigError,
+        match=r"^the field 'y' of part has shape \(4,\); it must be \(4, 3\), one row of shape \[3\] per",
     ):
         line(fields=[bound(odd)]).reset()
     odd.provides = {"y": (), "w": ()}

@@ -193,7 +193,10 @@ def test_of_a_field_that_does_not_exist_there_is_no_previous() -> None:
     ("given", "message"),
     [
         ({}, r"^part promises 'level' and does not return it\.$"),
-        ({"level": torch.zeros(4, 1)}, r"^'level' of part has shape \(4, 1\); it must be \(4,\)"),
+        (
+            {"level": torch.zeros(4, 1)},
+            r"^'level' of part has shape \(4, 1\); it must be \(4,\), one row of shape \[\] per",
+        ),
     ],
 )
 def test_a_memory_keeps_its_promise(given: dict[str, Tensor], message: str) -> None:

@@ -80,9 +80,15 @@ def test_what_cannot_be_built_here_is_fetched(monkeypatch: pytest.MonkeyPatch) -
     assert "pip install pytest && " in steps
 
 
-def test_a_new_paper_passes_at_once(tmp_path: Path) -> None:
+def test_a_new_paper_passes_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is printed has its experiment and its table, too, which its tests compose."""
     assert main(["new", "paper", "thrown", "--folder", str(tmp_path / "a" / "b")]) == 0
     written = tmp_path / "a" / "b"
+    said = capsys.readouterr().out
+    assert re.search(r"^Train the experiment: .*understudy train experiment=thrown/first ", said, re.M)  # fmt: skip
+    assert re.search(r"^Train all of its table: .*understudy reproduce thrown/table$", said, re.M)
+    (printed,) = re.findall(r"(pip install .*-e )", said)
+    assert f"\n{printed}.\n" in (written / "README.md").read_text()
     install(written, tmp_path / "site")
     done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -22,7 +22,7 @@ from understudy.task import Context, Memory, Shape
 class Shaped:
     """Options of what keeps values as they are."""
 
-    shape: tuple[int, ...] = ()  #: of the value, without N
+    shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
 
     def __post_init__(self) -> None:
         _check_shape(self)
@@ -174,7 +174,7 @@ class History(Memory):
     @dataclass(frozen=True)
     class Options:
         length: int  #: K
-        shape: tuple[int, ...] = ()  #: of the value, without N
+        shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
 
         def __post_init__(self) -> None:
             check_range(self, "length", least=1, most=10_000)

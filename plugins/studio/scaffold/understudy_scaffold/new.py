@@ -73,37 +73,44 @@ def _begin(options: argparse.Namespace, parts: Sequence[str], *more: str) -> int
         _write(folder, name, ("plugin", *parts, *more))
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror}.") from error
-    print(next_steps(folder, name, parts))
+    print(next_steps(folder, name, (*parts, *more)))
     return 0
 
 
 def next_steps(folder: Path, name: str, parts: Sequence[str] = PARTS) -> str:
-    """What to type now: the commands of this environment, whether or not it is activated."""
+    """What to type now: the commands of this environment, whether or not it is activated. The `parts` are templates."""
     here = Path(sys.executable).parent
     found = shutil.which("pip")
     programs = "" if found and Path(found).parent == here else f"{shlex.quote(str(here))}/"
     alone = _alone()
     testing = "" if find_spec("pytest") else f"{programs}pip install pytest && "
     where = shlex.quote(str(folder))
-    train = f"{programs}understudy train experiment=spacetime/walk budget.samples=20000 run.video_seconds=0"
+    program, short = f"{programs}understudy", "budget.samples=20000 run.video_seconds=0"
+    train = f"{program} train experiment=spacetime/walk {short}"
     has = {
         "reward": f"two rewards in terms.py, {name}/still, a function, and {name}/high, a class",
         "observation": f"an observation, {name}/height, in encoders.py",
+        "paper": f"an experiment, {name}/first, and a table, {name}/table, in conf",
     }
     tries = {
-        "reward": ("Train by a reward:", f"'reward.terms.high={{name: {name}/high}}'"),
-        "observation": (
+        "reward": [("Train by a reward:", f"{train} 'reward.terms.high={{name: {name}/high}}'")],
+        "observation": [(
             "Train with the observation:",
-            f"'encoder.extra={{name: {name}/height}}' 'policy.feedback.observation=[state,extra]'",
-        ),
-    }
+            f"{train} 'encoder.extra={{name: {name}/height}}' 'policy.feedback.observation=[state,extra]'",
+        )],
+        "paper": [
+            ("Train the experiment:", f"{program} train experiment={name}/first {short}"),
+            ("Train all of its table:", f"{program} reproduce {name}/table"),
+        ],
+    }  # fmt: skip
     rows = [
         ("Install and test:", f"{programs}pip install {alone}-e {where} && {testing}{programs}pytest {where}"),
-        *((what, f"{train} {words}") for what, words in map(tries.__getitem__, parts)),
+        *(row for part in parts for row in tries[part]),
         ("Write your own:", "beside these or in their place, each with its line in __init__.py and its test"),
-        ("What it can read:", f"{programs}understudy describe --fields experiment/spacetime/walk"),
+        ("What it can read:", f"{program} describe --fields experiment/spacetime/walk"),
     ]  # fmt: skip
-    begun = ";\nand ".join(has[part] for part in parts)
+    *begun, last = (has[part] for part in parts)
+    begun = ";\n".join([*begun, f"and {last}" if begun else last])
     lines = [
         f"{folder}/src/understudy_{name} has {begun}.",
         *(f"{what:<28} {words}" for what, words in rows),
