@@ -1,7 +1,8 @@
-"""The bundled plugins are what stands in the tree: no list of them is kept."""
+"""The bundled plugins are what stands in the tree: no list of them is kept. Each registers its parts alike."""
 
 from __future__ import annotations
 
+import ast
 import sys
 import tomllib
 from importlib import metadata
@@ -18,6 +19,8 @@ sys.path.append(str(ROOT))
 
 from hatch_build import EntryPoints, Packages, bundled  # noqa: E402
 
+from understudy.setup.plugins import installed  # noqa: E402
+
 
 def test_what_is_installed_is_what_stands_in_the_tree() -> None:
     entries = metadata.entry_points(group="understudy")
@@ -30,6 +33,60 @@ def test_no_file_names_the_plugins_again() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert [name for name in bundled(ROOT) if f"understudy_{name}" in text] == []
     assert "entry-points" in tomllib.loads(text)["project"]["dynamic"]
+
+
+def test_no_room_is_of_odds_and_ends() -> None:
+    said_nothing = {"basics", "common", "helpers", "misc", "shared", "util", "utils"}
+    places = [*ROOT.glob("kernel/**/*.py"), *ROOT.glob("plugins/**/*.py")]
+    words = {word for place in places for part in place.relative_to(ROOT).with_suffix("").parts for word in part.split("_")}  # fmt: skip
+    assert {"learning", "registry"} <= words
+    assert words & said_nothing == set()
+
+
+def tables(module: str) -> dict[str, ast.Dict]:
+    """The tables of parts in the text of a `module`, by kind."""
+    for node in ast.parse(module).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "PARTS":
+            assert isinstance(node.value, ast.Dict)
+            kinds = zip(node.value.keys, node.value.values, strict=True)
+            return {ast.literal_eval(kind): table for kind, table in kinds if kind and isinstance(table, ast.Dict)}  # fmt: skip
+    return {}
+
+
+def broken_rows(module: str) -> list[str]:
+    """Parts that are no row ``"NAME": ("PLACE", "what it is"),`` of one line of at most 100 characters."""
+    lines = module.splitlines()
+    return [
+        ast.unparse(row)
+        for table in tables(module).values()
+        for name, row in zip(table.keys, table.values, strict=True)
+        if name is None
+        or not isinstance(row, ast.Tuple)
+        or name.lineno != row.end_lineno
+        or len(lines[name.lineno - 1]) > 100
+    ]
+
+
+def test_each_part_is_a_row_of_its_plugins_table() -> None:
+    modules = {path: path.read_text("utf-8") for path in ROOT.glob("plugins/*/*/*/__init__.py")}
+    found = installed().registry.components.values()
+    rows = sum(len(table.keys) for text in modules.values() for table in tables(text).values())
+    packaged = sum(component.kind == "skill" for component in found)  # found in a folder
+    assert rows + packaged == sum(c.distribution == "understudy" for c in found)
+    assert {
+        str(path): broken_rows(text) for path, text in modules.items() if broken_rows(text)
+    } == {}
+
+
+@pytest.mark.parametrize(
+    "row",
+    ['"a/b":\n            ("c:D", "e"),', f'"a/b": ("c:D", "{80 * "e"}"),', '"a/b": made(),'],
+    ids=["two lines", "too long", "no row"],
+)
+def test_another_way_to_register_is_seen(row: str) -> None:
+    module = 'PARTS = {\n    "reward": {\n        ROW\n    },\n}\n'
+    assert broken_rows(module.replace("ROW", '"a/b": ("c:D", "e"),')) == []
+    assert len(broken_rows(module.replace("ROW", row))) == 1
 
 
 @pytest.fixture
