@@ -54,11 +54,11 @@ class _Leading(Gathering):
     _from: ClassVar[str]  #: the experiment whose ends it wants
     _went: ClassVar[str]  #: what no arm did
 
-    def __init__(self, file: str, count: int, experiment: Experiment) -> None:
-        """Of the bank `file`, `count` states."""
-        self._file, self._count, self._experiment = file, count, experiment
+    def __init__(self, options: Any, experiment: Experiment) -> None:
+        """Of the bank ``options.bank``, ``options.count`` states."""
+        self.options, self._experiment = options, experiment
         self.device = device_of(experiment.root.device)
-        self._gathered = Gathered(count)  # of one number: what became of each arm
+        self._gathered = Gathered(options.count)  # of one number: what became of each arm
         self._kept: dict[str, list[dict[str, Tensor]]] = {name: [] for name in self.portions}
 
     @abstractmethod
@@ -101,13 +101,13 @@ class _Leading(Gathering):
         self._scene = context.scene = experiment.need("scene").build(context)
         self._shirt = context.need_scene(ShirtScene, "a job that leads arms")
         self._every = max(1, round(root.control.decision / root.control.frequency / PERIOD))
-        states = bank.starts(self._file, context, "job.bank")
+        states = bank.starts(self.options.bank, context, "job.bank")
         missing = [name for name in STATE if name not in states]
         if missing:
             raise ConfigError(
-                f"job.bank={self._file} has no '{missing[0]}': give one that job=harvest leaves of {self._from}."
+                f"job.bank={self.options.bank} has no '{missing[0]}': give one that job=harvest leaves of {self._from}."
             )
-        rows = np.linspace(0, len(states["qpos"]) - 1, self._count).round().astype(int)
+        rows = np.linspace(0, len(states["qpos"]) - 1, self.options.count).round().astype(int)
         self._states = {name: states[name][np.unique(rows)] for name in STATE}
         self._gathered = Gathered(len(self._states["qpos"]))
 
@@ -155,7 +155,7 @@ class _Leading(Gathering):
     def products(self, run: Run) -> None:
         if not self._kept["ends"]:
             raise TrainingError(
-                f"No arm {self._went} from job.bank={self._file}. Lead more of its states (job.count), or harvest "
+                f"No arm {self._went} from job.bank={self.options.bank}. Lead more of its states (job.count), or harvest "
                 "others, with job.lasting=16."
             )
         for name, kept in self._kept.items():
@@ -165,7 +165,7 @@ class _Leading(Gathering):
                 bank.save(run.path / name / bank.NAME, states, {"led": name}, self._scene)
 
     def sources(self) -> Mapping[str, Any]:
-        return {"bank": {"run": self._file}}
+        return {"bank": {"run": self.options.bank}}
 
     def state_dict(self) -> State:
         kept = {
@@ -238,9 +238,7 @@ class Lead(_Leading):
             if self.taken and not self.held:
                 raise ValueError("taken=true is not possible with held=false: give held=true, too.")
 
-    def __init__(self, options: Options, experiment: Experiment) -> None:
-        super().__init__(options.bank, options.count, experiment)
-        self.options = options
+    options: Options
 
     @property
     def _longest(self) -> float:
@@ -362,9 +360,7 @@ class LeadGrip(_Leading):
             check_range(self, "near", least=0.005, most=0.2)
             check_range(self, "torn", least=1)
 
-    def __init__(self, options: Options, experiment: Experiment) -> None:
-        super().__init__(options.bank, options.count, experiment)
-        self.options = options
+    options: Options
 
     @property
     def _longest(self) -> float:
@@ -415,9 +411,7 @@ class LeadRest(_Leading):
             check_range(self, "seconds", least=0.1, most=10)
             check_range(self, "torn", least=1)
 
-    def __init__(self, options: Options, experiment: Experiment) -> None:
-        super().__init__(options.bank, options.count, experiment)
-        self.options = options
+    options: Options
 
     @property
     def _longest(self) -> float:
