@@ -154,7 +154,7 @@ class Root:
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
     task: str | None = None  #: its name, where one was chosen
     control: ControlOptions = ControlOptions()  #: how often the policy decides
-    episode: EpisodeOptions = EpisodeOptions()  #: of training
+    episode: EpisodeOptions = EpisodeOptions()  #: how long episodes last at most
     budget: BudgetOptions = BudgetOptions()  #: when a training ends
     evaluation: EvaluationOptions = EvaluationOptions()  #: how a policy is judged
     checkpoint: CheckpointOptions = CheckpointOptions()  #: what is saved, and how often

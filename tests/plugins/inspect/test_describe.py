@@ -38,7 +38,7 @@ def test_a_learner() -> None:
     [
         ("control", r"substeps=20 +whole number; physics steps per control period"),
         ("resolution", r"substeps=null +whole number or null; physics steps per control period"),
-        ("start", r"run=… +text; its folder"),
+        ("start", r"run=… +text; folder of the other run"),
     ],
 )
 def test_a_group_and_a_section(name: str, option: str) -> None:

@@ -192,7 +192,7 @@ class Fall:
     class Options:
         bodies: tuple[str, ...] = ()  #: empty takes root, trunk and head
         clearance: float = 0.0  #: m; touching is being as low as this
-        margin: float = 0.2  #: m
+        margin: float = 0.2  #: m, from 0: no fall while the reference has the body as low as this (bound of section 3.5.1)
 
         def __post_init__(self) -> None:
             check_range(self, "margin", least=0)

@@ -49,7 +49,8 @@ class ServoOptions:
     """
 
     keep: bool = True  #: whether a model whose joints are all driven by position servos keeps these
-    natural_frequency: float = 20.0  #: rad/s
+    #: rad/s, above 0, at which a servo with its load would swing undamped
+    natural_frequency: float = 20.0
     damping_ratio: float = 1.0  #: 1 is critical damping; above 0
     #: rad off its target at which a servo gives its whole torque: at least and at most.
     deflection: tuple[float, float] = (0.1, 0.3)

@@ -50,7 +50,7 @@ class HandScene(MujocoScene):
         fingers: int = 5  #: how many there are, from the thumb on: 3 to 5
         finger_length: float = 1.0  #: of all fingers, in those of the human hand
         size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
-        tool: tools.Tool = "sticks"  #: what it holds
+        tool: tools.Tool = "sticks"  #: what the hand holds
         object: tools.Thing | None = None  #: what lies on the table; null is nothing
         below: tools.Thing | None = (
             None  #: what it is put upon, free to move, too; null is the table

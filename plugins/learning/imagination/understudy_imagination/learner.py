@@ -52,7 +52,7 @@ _FIXED = ("body_", "mocap_")
 class ModelOptions:
     """The network that predicts what a decision does, and how it is trained."""
 
-    hidden: tuple[int, ...] = (512, 256)  #: units per layer
+    hidden: tuple[int, ...] = (512, 256)  #: units of the hidden layers
     points: int = 8  #: of the bodies' corners, as many as touch the floor most are told to it
     replay: int = 60_000  #: newest decisions that it is trained on
     first_samples: int = 10_240  #: decisions before it is trained, and the policy with it
@@ -121,7 +121,7 @@ class Imagination(Learner):
         reward_weight: float = 1.0  #: of rewards that have a derivative
         model: ModelOptions = field(default_factory=ModelOptions)  #: of the character, learned
         gamma: float = 0.95  #: of the returns that critic and initial states learn from
-        td_lambda: float = 0.95  #: of these
+        td_lambda: float = 0.95  #: λ of these returns, in [0, 1]
         critic_learning_rate: float = 3e-4  #: of the critic, by Adam
         patience: int = 20  #: non-finite optimiser steps in a row after which the training stops
 

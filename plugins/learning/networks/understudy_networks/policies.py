@@ -121,7 +121,7 @@ class CNNPolicy(Policy):
         #: Those that the critic has beside the image in place of ``flat``; null is what the actor has.
         critic: str | tuple[str, ...] | None = None
         filters: tuple[int, ...] = (2, 2)  #: per convolution, stride 1
-        kernels: tuple[int, ...] = (5, 3)  #: pixels, odd
+        kernels: tuple[int, ...] = (5, 3)  #: pixels of each convolution's side, odd
         pool: int = 2  #: pixels, width and stride of the max-pooling after each convolution
         #: Let the first convolution see the pixels' coordinates (CoordConv, Liu et al. 2018).
         coordinates: bool = True

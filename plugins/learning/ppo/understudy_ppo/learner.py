@@ -70,11 +70,11 @@ class PPO(Learner):
         #: a penalty on the divergence from the old policy; null has none
         kl_penalty: KLPenalty | None = None
         optimiser: Literal["adam", "sgd"] = "adam"  #: of both networks
-        momentum: float = 0.0  #: of sgd
+        momentum: float = 0.0  #: of sgd, from 0; Adam has its own
         weight_decay: float = 0.0  #: added to the gradient, times the weight (L2)
         #: above 0; 1e-4 suits Adam (the thesis has plain gradient descent)
         actor_learning_rate: float = 1e-4
-        critic_learning_rate: float = 1e-3  #: above 0
+        critic_learning_rate: float = 1e-3  #: of the critic's optimiser, above 0
         entropy_weight: float = 0.0  #: of the mean entropy, added to the objective; from 0
         #: Of the critic's mean squared error. It counts for sgd alone; Adam's steps have no scale.
         value_weight: float = 1.0

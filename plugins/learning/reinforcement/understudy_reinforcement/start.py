@@ -28,7 +28,7 @@ Part = Literal["actor", "critic", "normaliser", "initial_states", "curriculum"]
 class StartOptions:
     """Begin with parts of another run's newest checkpoint."""
 
-    run: str  #: its folder
+    run: str  #: folder of the other run
     parts: tuple[Part, ...] = ("actor", "critic", "normaliser")  #: what is taken over
 
 

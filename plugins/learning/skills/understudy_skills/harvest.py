@@ -63,7 +63,7 @@ class Harvest(Gathering):
     @dataclass(frozen=True)
     class Options:
         run: str  #: folder of the run whose policy acts
-        count: int = 1024  #: how many states
+        count: int = 1024  #: how many states are wanted, from 1
         #: Which endings count: a termination term's name, any of an outcome (``success``, ``failure``,
         #: ``truncation``), or ``any``: also the states of episodes that go wrong.
         ending: str = "success"

@@ -26,7 +26,7 @@ class Settle(Gathering):
 
     @dataclass(frozen=True)
     class Options:
-        count: int = 1024  #: how many states
+        count: int = 1024  #: how many states are wanted, from 1
         seconds: float = 1.0  #: for which each is simulated (dressing: 1 s)
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
         patience: int = 20  #: iterations without any state after which there is no hope

@@ -125,7 +125,7 @@ class RedrawnTarget(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        low: tuple[float, ...]  #: of the box
+        low: tuple[float, ...]  #: the box's lower corner, in the target's unit
         high: tuple[float, ...]  #: the box's other corner, in the target's unit
         every: float | None = None  #: seconds after which it is drawn again
         #: Distance of ``position``, then a field that is read, at which it is drawn again.
@@ -173,7 +173,7 @@ class History(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        length: int  #: K
+        length: int  #: K, how many values are kept, from 1 to 10000
         shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
 
         def __post_init__(self) -> None:

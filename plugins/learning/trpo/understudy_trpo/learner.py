@@ -45,7 +45,8 @@ class TRPO(Learner):
         gae_lambda: float = 0.95  #: λ of the advantages, in [0, 1]
         td_lambda: float = 0.95  #: λ of the critic's targets, in [0, 1]
         kl_limit: float = 0.01  #: δ (Schulman et al. 2015, section 8)
-        conjugate_gradient_steps: int = 10  #: appendix C
+        #: iterations of the solver of a step's direction (appendix C)
+        conjugate_gradient_steps: int = 10
         damping: float = 0.1  #: added to the Fisher matrix' diagonal
         #: Share of the samples, evenly taken, that the Fisher matrix is estimated from (appendix C.1).
         fisher_share: float = 1.0

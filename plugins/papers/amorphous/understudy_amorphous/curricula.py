@@ -22,7 +22,7 @@ class Between:
     """Seconds after which training episodes are cut, drawn for each evenly between these. Worlds then
     do not all begin at once, and a short rollout of many worlds has all phases of an episode."""
 
-    least: float  #: s, above 0
+    least: float  #: s, above 0, of the shortest
     most: float  #: s, at least `least`
 
     def __post_init__(self) -> None:

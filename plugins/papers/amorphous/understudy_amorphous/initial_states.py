@@ -72,7 +72,7 @@ class AroundGoal(InitialStates):
     @dataclass(frozen=True)
     class Options:
         distance: tuple[float, float] = (1.8, 2.8)  #: m, from the goal to a block: least, most
-        goal: tuple[float, float] = (0.0, 0.0)  #: m
+        goal: tuple[float, float] = (0.0, 0.0)  #: m, world, from which the goal is drawn
         goal_spread: float = 0.0  #: m, how far from there the goal may be drawn along x and y
         tool: tuple[float, float] = (3.9, 4.2)  #: m, from the goal to the tool: least, most
         facing: float = 1.0  #: rad, how far the tool may be turned from facing the goal

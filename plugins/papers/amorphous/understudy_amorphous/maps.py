@@ -27,8 +27,8 @@ _REACH = _RINGS + 0.5
 class Grid:
     """N × N cells of width h around the origin of a frame."""
 
-    cells: int = 32  #: N (figure 3)
-    width: float = 0.2  #: h, m
+    cells: int = 32  #: N, cells along each side, 2 to 1024 (figure 3)
+    width: float = 0.2  #: h, m, above 0: width of a cell
 
     def __post_init__(self) -> None:
         check_range(self, "cells", least=2, most=1024)
@@ -108,7 +108,7 @@ class MaterialMaps(Encoder):
         #: 0.2 m. Of smaller particles (``scene.resolution``) each counts less: the same material makes
         #: the same map.
         scale: float = 0.1
-        height_scale: float = 1.0  #: 1/m, of heights
+        height_scale: float = 1.0  #: 1/m, above 0, by which heights are multiplied
 
         def __post_init__(self) -> None:
             check_range(self, "scale", "height_scale", above=0)

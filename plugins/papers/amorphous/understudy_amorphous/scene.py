@@ -103,7 +103,7 @@ class AmorphousScene(ParticleScene):
         spacing: float = 0.2  #: m, between particles at rest
         #: Particles along each axis for one of `block`: 2 and 3 are Table 5's medium and high.
         resolution: int = 1
-        tool: Literal["scraper", "pan"] = "scraper"  #: what moves them
+        tool: Literal["scraper", "pan"] = "scraper"  #: the tool that moves the particles
         springs: int = 32  #: the most that one particle of a visco-plastic material can have
 
         def __post_init__(self) -> None:

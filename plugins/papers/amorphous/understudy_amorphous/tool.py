@@ -80,8 +80,8 @@ class ToolTarget(Actuation):
         #: By axis: the least and the greatest value, m or rad.
         limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
         frame: Literal["tool", "world"] = "tool"  #: of the action's x and y
-        k_p: float = 40.0  #: 1/s²
-        k_d: float = 10.0  #: 1/s
+        k_p: float = 40.0  #: k_p of eq. 5, 1/s², above 0: how stiffly the target is followed
+        k_d: float = 10.0  #: k_d of eq. 5, 1/s, from 0: how much that is damped
         tilt: float = 0.0  #: rad, how far it leans in the direction of its motion (section 4.2)
         tilt_speed: float = 0.5  #: m/s, at which it leans by three quarters of that
 

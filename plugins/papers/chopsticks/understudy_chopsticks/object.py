@@ -126,7 +126,7 @@ def thing(
     object_distance: Tensor,
     object_turn: Tensor,
     *,
-    distance: float = 40.0,  #: 1/m (eq. 5.4)
+    distance: float = 40.0,  #: 1/m, of the distance from the plan (eq. 5.4)
     turn: float = 10.0,  #: 1/rad, of the angle Θ (eq. 5.4); a sphere's counts as 0
 ) -> Tensor:
     """exp of eq. 5.4: the object as planned, exp(-40 ‖p - p̃‖ - 10 Θ)."""

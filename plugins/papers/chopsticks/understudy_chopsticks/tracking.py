@@ -160,7 +160,7 @@ class Hand:
 
     @dataclass(frozen=True)
     class Options:
-        scale: float = 10.0  #: 1/rad (eq. 5.2)
+        scale: float = 10.0  #: w, 1/rad, from 0 (eq. 5.2)
 
         def __post_init__(self) -> None:
             check_range(self, "scale", least=0)
@@ -211,7 +211,7 @@ def dropped(
 def turned(
     stick_turn: Tensor,
     *,
-    turn: float = 0.1,  #: rad; chosen
+    turn: float = 0.1,  #: rad, of a stick from its plan; the thesis names no early ending, this one is chosen
 ) -> Tensor:
     """A stick is turned far from its plan."""
     return (stick_turn > turn).any(dim=1)

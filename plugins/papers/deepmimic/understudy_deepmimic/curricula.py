@@ -148,8 +148,8 @@ class Adaptive(_OfLength):
 
     @dataclass(frozen=True)
     class Options:
-        start: float = 1.0  #: s
-        step: float = 0.5  #: s
+        start: float = 1.0  #: s, above 0, that episodes last at first
+        step: float = 0.5  #: s, above 0, by which they get longer at a time
         fail_rate: float = 0.2  #: below which episodes get longer
         patience: int | None = 500  #: iterations; null goes on to the budget
 
@@ -187,7 +187,7 @@ class Annealed(_OfLength):
 
     @dataclass(frozen=True)
     class Options:
-        start: float = 0.5  #: s
+        start: float = 0.5  #: s, above 0, that episodes last at first (the released program)
         #: training samples until episodes are longest, from 1 (the released program)
         samples: int = 32_000_000
         power: float = 4.0  #: exponent of the share of ``samples``, above 0 (the released program)

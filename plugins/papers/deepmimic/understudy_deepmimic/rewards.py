@@ -98,7 +98,7 @@ class Imitation:
 
     @dataclass(frozen=True)
     class Options:
-        pose: float = 0.65  #: weights
+        pose: float = 0.65  #: weight of r_p, from 0 (section 5.3)
         velocity: float = 0.1  #: weight of r_v (section 5.3)
         end_effectors: float = 0.15  #: weight of r_e (section 5.3)
         com: float = 0.1  #: weight of r_c (section 5.3)

@@ -43,7 +43,7 @@ class NovelPolicies(OuterLoop):
         distinct: float  #: distance of features at which strategies are different ones, above 0
         feature_field: str  #: the field that holds the feature at the end of an episode
         rounds: int = 5  #: trainings one after the other, from 1, of each strategy
-        threshold: float = 1.5707963  #: d_threshold
+        threshold: float = 1.5707963  #: d_threshold of eq. 4.11, in the features' unit, above 0
         #: distance of features: of vectors, or the angle in rad between two rotations
         metric: Metric = "euclidean"
         success: float = 0.5  #: success rate in [0, 1] from which on a trial shows a strategy

@@ -21,7 +21,7 @@ class Novelty:
     @dataclass(frozen=True)
     class Options:
         found: tuple[tuple[float, ...], ...]  #: f_i, the features of the strategies that are known
-        threshold: float = 0.5 * pi  #: d_threshold
+        threshold: float = 0.5 * pi  #: d_threshold, in the features' unit, above 0 (eq. 4.11)
         metric: Metric = "euclidean"  #: or ``rotation``: the angle, of x axes and z axes
 
         def __post_init__(self) -> None:

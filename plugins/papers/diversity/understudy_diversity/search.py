@@ -27,8 +27,8 @@ class DiversitySearch(StrategySearch):
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
-        explore: int = 3  #: N_exp
-        exploit: int = 3  #: N_opt
+        explore: int = 3  #: N_exp, trials in a row where the model is least certain
+        exploit: int = 3  #: N_opt, trials in a row where it expects most novelty
 
         def __post_init__(self) -> None:
             super().__post_init__()

@@ -36,7 +36,7 @@ class VaultScene(Scene):
 
     @dataclass(frozen=True)
     class Options:
-        bar: float = 1.25  #: m
+        bar: float = 1.25  #: m, above 0, the bar's height
 
         def __post_init__(self) -> None:
             check_range(self, "bar", above=0)
@@ -101,9 +101,9 @@ class TakeOff(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        spin: float = 0.0  #: rad/s
-        climb: float = 4.0  #: m/s, upwards
-        lean: float = 0.0  #: rad
+        spin: float = 0.0  #: rad/s, of the body, at take-off
+        climb: float = 4.0  #: m/s, from 0, upwards at take-off
+        lean: float = 0.0  #: rad, of the body's pitch at take-off
         noise: float = 0.05  #: of each of these, at most, in its unit
 
         def __post_init__(self) -> None:
@@ -175,7 +175,7 @@ class Limbs(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        push: float = 12.0  #: rad/s², at most
+        push: float = 12.0  #: rad/s² by which the take-off foot turns the body, at most
 
         def __post_init__(self) -> None:
             check_range(self, "push", least=0)
@@ -193,7 +193,7 @@ def passing(
     crossing: Tensor,
     cleared: Tensor,
     *,
-    #: m, above 0
+    #: m, above 0, by which passing higher is worth a factor e
     scale: float = 1.0,
 ) -> Tensor:
     """When the bar is passed, e^{(cleared - 1 m) / scale}: sparse, and more for passing higher."""

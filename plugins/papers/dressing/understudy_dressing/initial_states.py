@@ -32,7 +32,7 @@ class Track(InitialStates):
     class Options:
         #: m, world frame: between these the gripper begins, uniformly (the 2018 code's gown)
         low: tuple[float, float, float] = (0.7, -0.42, -0.3)
-        high: tuple[float, float, float] = (0.8, 0.21, 0.2)  #: m
+        high: tuple[float, float, float] = (0.8, 0.21, 0.2)  #: m, of the other corner
         #: m, where it is after `seconds`: above the shoulder (section 8.3; the 2018 code stops 0.1 m before it)
         end: tuple[float, float, float] = (0.0, -0.21, 0.1)
         seconds: float = 12.5  #: until it arrives (2018 code: 250 decisions of 0.05 s)

@@ -401,7 +401,7 @@ class LeadRest(_Leading):
     class Options:
         bank: str  #: the bank in which they begin, or the folder of the run that has it
         count: int = 24  #: how many of its states are led, evenly of all
-        seconds: float = 1.6  #: of the way
+        seconds: float = 1.6  #: s, that the way back takes
         keep: int = 3  #: of every so many decisions of a way one state
         torn: float = 2.0  #: area ratio of states that are not kept
 

@@ -59,7 +59,7 @@ class SleeveScene(HangingScene):
     @dataclass(frozen=True)
     class Options:
         around: float = 0.46  #: m, perimeter (the 2018 code's gown: 0.46)
-        length: float = 0.30  #: m
+        length: float = 0.30  #: m, along the arm
         edge: float = 0.012  #: m, of triangles, about
         middle: float = (
             0.06  #: m, from the entrance to the loop that is observed (facts of the shirt)

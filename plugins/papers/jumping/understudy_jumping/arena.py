@@ -45,7 +45,7 @@ class ArenaOptions:
     drop: float = 0.7
     mat_height: tuple[float, float] = (0.1, 0.75)  #: m, least and greatest
     softness: float = 0.04  #: s, in which the mat stops what falls on it
-    gravity: float = 9.81  #: m/s²
+    gravity: float = 9.81  #: m/s², downwards, above 0
 
     def __post_init__(self) -> None:
         check_range(self, "length", "mat", "drop", "softness", "gravity", above=0)

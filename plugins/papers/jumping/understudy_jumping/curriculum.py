@@ -27,7 +27,8 @@ class Accumulated(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        threshold: float = 30.0  #: R_T
+        #: R_T, sum of mean returns beyond which a step is taken (table 4.1)
+        threshold: float = 30.0
         step: float = 1 / 150  #: of the difficulty: Δz over z_max - z_min
         start: float = 0.0  #: the first difficulty, in [0, 1]
         batch: int = 4096  #: samples of the paper's iteration

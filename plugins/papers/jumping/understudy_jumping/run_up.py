@@ -69,9 +69,9 @@ class Arrival(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        at: float = 3.328  #: s, of the clip
-        v_z: float | None = -2.4  #: m/s
-        omega: tuple[float, float, float] = (-3.0, -3.0, 1.0)  #: rad/s
+        at: float = 3.328  #: s, above 0, in the clip: when the take-off is
+        v_z: float | None = -2.4  #: m/s, v̄_z that is wanted; null: any (eq. 4.13)
+        omega: tuple[float, float, float] = (-3.0, -3.0, 1.0)  #: rad/s, ω̄ that is wanted (eq. 4.12)
 
         def __post_init__(self) -> None:
             check_range(self, "at", above=0)

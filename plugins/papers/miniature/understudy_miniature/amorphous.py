@@ -22,7 +22,7 @@ class GrainsScene(Scene):
 
     @dataclass(frozen=True)
     class Options:
-        grains: int = 12  #: G
+        grains: int = 12  #: G, how many there are, 1 to 1000
         tool: float = 0.25  #: m, the tool's radius
 
         def __post_init__(self) -> None:
@@ -77,7 +77,7 @@ class Clusters(InitialStates):
     class Options:
         clusters: int = 2  #: how many centres at difficulty 1, from 1
         table: float = 0.5  #: m, half of its side; centres are at most so far from its middle
-        size: float = 0.2  #: m, of a cluster
+        size: float = 0.2  #: m, above 0, that a cluster is wide
         tool: tuple[float, float] = (-1.0, 0.0)  #: m, where the tool is at first
 
         def __post_init__(self) -> None:
@@ -111,7 +111,7 @@ class Heap(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        goal: tuple[float, float] = (1.0, 0.0)  #: m
+        goal: tuple[float, float] = (1.0, 0.0)  #: m, where the grains should be
 
     def __init__(self, options: Options, context: Context) -> None:
         self._goal = torch.tensor(options.goal, device=context.device)
@@ -134,9 +134,9 @@ class DensityMap(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        pixels: int = 12  #: P
-        goal: tuple[float, float] = (1.0, 0.0)  #: m
-        width: float = 3.0  #: m, of the image
+        pixels: int = 12  #: P, pixels along each side, 2 to 1000
+        goal: tuple[float, float] = (1.0, 0.0)  #: m, where the grains should be
+        width: float = 3.0  #: m, above 0, that the image is wide
 
         def __post_init__(self) -> None:
             check_range(self, "pixels", least=2, most=1000)
@@ -213,7 +213,7 @@ def gathered(
     spread: Tensor,
     previous_spread: Tensor,
     *,
-    #: 1/m
+    #: 1/m: what a metre nearer is worth
     scale: float = 10.0,
 ) -> Tensor:
     """How much nearer the grains came in this decision, times `scale` (1/m); negative if further."""

@@ -107,7 +107,7 @@ def completion(
     bar_clearance: Tensor,
     mean_effort: Tensor,
     *,
-    #: m, above 0
+    #: m, above 0, by which a bar that is missed costs a factor e
     scale: float = 0.2,
 ) -> Tensor:
     """Once, at the bar: how nearly it was cleared, times how naturally, which is with little effort:
@@ -121,7 +121,7 @@ def completion(
 def forward(
     velocity: Tensor,
     *,
-    #: s/m
+    #: s/m: what a velocity of 1 m/s is worth
     scale: float = 0.1,
 ) -> Tensor:
     """Velocity along the first axis, times `scale` (s/m)."""

@@ -28,12 +28,12 @@ class PlaneScene(Scene):
 
     @dataclass(frozen=True)
     class Options:
-        bodies: int = 1  #: B
+        bodies: int = 1  #: B, how many points there are, 1 to 1000
         pushed: int = 1  #: how many, the first ones, are pushed
-        drag: float = 1.0  #: 1/s
+        drag: float = 1.0  #: 1/s, from 0: what slows a point, in its velocity
         gravity: float = 0.0  #: m/s² along the second axis, with a floor at 0
         springs: tuple[tuple[int, int], ...] = ()  #: pairs of points tied by springs of no length
-        stiffness: float = 40.0  #: N/m
+        stiffness: float = 40.0  #: N/m, from 0, of each spring
 
         def __post_init__(self) -> None:
             check_range(self, "bodies", "pushed", least=1, most=1000)
@@ -114,7 +114,7 @@ class Somewhere(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        centre: tuple[float, float] = (0.0, 0.0)  #: m
+        centre: tuple[float, float] = (0.0, 0.0)  #: m, of where points begin
         spread: tuple[float, float] = (1.0, 1.0)  #: m to each side, at difficulties 0 and 1
         run_up: float = 0.0  #: m/s, along the first axis
         speed: float = 0.0  #: m/s added to it along each axis, at most
@@ -174,7 +174,7 @@ class Place(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        at: tuple[float, float]  #: m
+        at: tuple[float, float]  #: m, where it is
 
     def __init__(self, options: Options, context: Context) -> None:
         self._at = torch.tensor(options.at, device=context.device)
@@ -247,7 +247,7 @@ class Force(Actuation):
 def near(
     distance: Tensor,
     *,
-    #: m, above 0
+    #: m, above 0, at which it is 1/e
     scale: float = 1.0,
 ) -> Tensor:
     """exp(-distance / scale): 1 at the target."""
@@ -257,7 +257,7 @@ def near(
 def slow(
     velocity: Tensor,
     *,
-    #: m/s, above 0
+    #: m/s, above 0, at which it is 1/e
     scale: float = 1.0,
 ) -> Tensor:
     """exp(-|velocity| / scale): 1 at rest."""

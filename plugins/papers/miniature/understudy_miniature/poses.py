@@ -79,7 +79,7 @@ class LearnPoses(NetworkJob[AutoEncoder]):
 
     @dataclass(frozen=True)
     class Options:
-        code: int = 2  #: L
+        code: int = 2  #: L, numbers of the code
         #: units of the encoder's layers, and in reverse of the decoder's
         hidden: tuple[int, ...] = (32,)
         batch: int = 256  #: poses of an iteration

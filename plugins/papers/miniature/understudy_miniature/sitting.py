@@ -18,8 +18,8 @@ class Contact(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        radius: float = 0.3  #: m
-        speed: float = 0.3  #: m/s
+        radius: float = 0.3  #: m, above 0, within which it is on the seat
+        speed: float = 0.3  #: m/s, above 0, below which it is at rest
 
         def __post_init__(self) -> None:
             check_range(self, "radius", "speed", above=0)

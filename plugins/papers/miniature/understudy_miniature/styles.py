@@ -34,7 +34,7 @@ class ArmScene(Scene):
     @dataclass(frozen=True)
     class Options:
         joints: int = 8  #: how many, from 1
-        length: float = 1.0  #: m, of all links
+        length: float = 1.0  #: m, above 0, of all links together
         lag: float = 0.1  #: s, time constant with which a joint follows its target
 
         def __post_init__(self) -> None:
@@ -125,7 +125,7 @@ class DecodedPose(Actuation):
     class Options:
         run: str  #: folder of the run that trained the auto-encoder
         code_scale: float = 2.0  #: code for an action of 1, above 0
-        offset_scale: float = 0.2  #: rad
+        offset_scale: float = 0.2  #: rad, above 0: the offset for an action of 1
         dead: float = 0.1  #: rad, the size of an offset below which it is none
 
         def __post_init__(self) -> None:
@@ -164,7 +164,7 @@ class DecodedPose(Actuation):
 def sparse(
     pose_offset: Tensor,
     *,
-    #: rad, above 0
+    #: rad, above 0, of a mean offset at which it is 1/e
     scale: float = 1.0,
 ) -> Tensor:
     """exp(-mean |offset| / scale): 1 where the decoded pose is used as it is."""

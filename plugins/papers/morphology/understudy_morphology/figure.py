@@ -55,18 +55,18 @@ COLOUR, FOOT_COLOUR = (0.36, 0.56, 0.78, 1.0), (0.93, 0.6, 0.32, 1.0)
 class Scales:
     """Of each link's length and radius, left and right alike (table 6.1)."""
 
-    torso_length: float = 1.0  #: factor, above 0
-    waist_length: float = 1.0  #: factor, above 0
-    pelvis_length: float = 1.0  #: factor, above 0
-    thigh_length: float = 1.0  #: factor, above 0
-    knee_length: float = 1.0  #: factor, above 0
-    foot_length: float = 1.0  #: factor, above 0
-    torso_radius: float = 1.0  #: factor, above 0
-    waist_radius: float = 1.0  #: factor, above 0
-    pelvis_radius: float = 1.0  #: factor, above 0
-    thigh_radius: float = 1.0  #: factor, above 0
-    knee_radius: float = 1.0  #: factor, above 0
-    foot_radius: float = 1.0  #: factor, above 0
+    torso_length: float = 1.0  #: factor, above 0, of the torso's length
+    waist_length: float = 1.0  #: factor, above 0, of the waist's length
+    pelvis_length: float = 1.0  #: factor, above 0, of the pelvis' length
+    thigh_length: float = 1.0  #: factor, above 0, of the thighs' length
+    knee_length: float = 1.0  #: factor, above 0, of the knees' length
+    foot_length: float = 1.0  #: factor, above 0, of the feet's length
+    torso_radius: float = 1.0  #: factor, above 0, of the torso's radius
+    waist_radius: float = 1.0  #: factor, above 0, of the waist's radius
+    pelvis_radius: float = 1.0  #: factor, above 0, of the pelvis' radius
+    thigh_radius: float = 1.0  #: factor, above 0, of the thighs' radius
+    knee_radius: float = 1.0  #: factor, above 0, of the knees' radius
+    foot_radius: float = 1.0  #: factor, above 0, of the feet's radius
 
     def __post_init__(self) -> None:
         for item in fields(self):

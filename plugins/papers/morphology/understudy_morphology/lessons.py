@@ -38,8 +38,9 @@ class Lessons(Curriculum):
         ratio: float = 0.75  #: by which help lessens, in (0, 1) (Yu et al. 2018, section 4.2.2)
         #: of the first lesson's return, in [0, 1] (Yu et al. 2018, section 4.2.2)
         share: float = 0.7
-        least: float = 0.025  #: 5 of 200 N/m
-        lasting: float = 6.0  #: s
+        #: share of the full help below which it is none, in [0, 1]; 5 of 200 N/m
+        least: float = 0.025
+        lasting: float = 6.0  #: s, from 0, that episodes must last on average
         speed: float = 0.5  #: share of the target velocity
         episodes: int = 32  #: how many ended episodes are judged together at least
         patience: int | None = None  #: iterations; null goes on to the budget

@@ -117,10 +117,10 @@ class Worth(Fields):
     @dataclass(frozen=True)
     class Options:
         alive: float = 4.0  #: for each step, from 0
-        velocity: float = 3.0  #: s/m
+        velocity: float = 3.0  #: s/m, from 0: cost of each m/s off the target velocity
         energy: float = 0.4  #: of the sum of torques as shares of their limits, from 0
-        sideways: float = 3.0  #: 1/m
-        upright: float = 1.0  #: 1/rad
+        sideways: float = 3.0  #: 1/m, from 0: cost of each metre to the side
+        upright: float = 1.0  #: 1/rad, from 0: cost of leaning and turning away
 
         def __post_init__(self) -> None:
             check_range(self, "alive", "velocity", "energy", "sideways", "upright", least=0)

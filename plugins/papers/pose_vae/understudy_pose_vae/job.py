@@ -91,7 +91,7 @@ class LearnPoses(NetworkJob[PoseVAE]):
         )
         held_out: float = 0.1  #: share of the clips that only evaluations see
         latent: int | None = 13  #: L; null takes as many as principal components cover ``coverage``
-        coverage: float = 0.85  #: of the variance
+        coverage: float = 0.85  #: share of the poses' variance that ``latent=null`` has to cover
         #: units of the encoder's layers, and in reverse of the decoder's (section 4.4)
         hidden: tuple[int, ...] = (256, 256)
         beta: float = 1e-5  #: weight of the KL divergence (section 4.4), from 0

@@ -18,7 +18,7 @@ def generated_step_back(
     speed: float = 0.6,
     #: seconds per two steps, from 0.4 to 3
     cycle: float = 1.2,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """One gait cycle backwards along -x: the generated walk in reverse.
@@ -51,7 +51,7 @@ def generated_whole(
     *,
     #: m above the floor, from 0.35 to 0.55
     seat_height: float = 0.45,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """Two steps ahead, half a turn to the left, and sitting down: the reference of the baselines that have

@@ -34,8 +34,8 @@ class AfterClip(Learner):
         rollout_steps: int = 16  #: T, steps per world and iteration
         keep: int = 40  #: of how many of the newest iterations it learns
         steps: int = 48  #: of the optimiser in an iteration
-        batch_size: int = 1024  #: samples of each
-        learning_rate: float = 1e-3  #: Adam's
+        batch_size: int = 1024  #: samples of an optimiser step, from 1
+        learning_rate: float = 1e-3  #: of Adam, above 0
         least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
 
         def __post_init__(self) -> None:

@@ -116,7 +116,7 @@ class FromReference(InitialStates):
         #: m along each axis and degrees by which the chair is elsewhere, at most. The paper's is fixed.
         metres: float = 0.0
         degrees: float = 0.0  #: by which the figure may be turned at most, either way
-        chairs: Chairs = Chairs()  #: of other sizes
+        chairs: Chairs = Chairs()  #: sizes from which the chair's is drawn
 
         def __post_init__(self) -> None:
             check_range(self, "first", least=0, most=1)
@@ -262,7 +262,7 @@ class AtChair:
         0.4,
         0.9,
     )  #: m before the seat's middle; the clip of sitting begins 0.45 m from it
-    aside: float = 0.2  #: m, to each side
+    aside: float = 0.2  #: m, from 0, off the seat's middle, to each side
     degrees: float = 180.0  #: off the direction in which the chair faces, to each side
 
     def __post_init__(self) -> None:
@@ -299,9 +299,9 @@ class AroundChair(InitialStates):
             None  #: degrees of the newest sector in training; null: zones, as in the paper
         )
         distance: float = 2.0  #: m from the seat's middle
-        spread: float = 0.2  #: m, more or less
+        spread: float = 0.2  #: m, by which that distance may be more or less
         degrees: float = 30.0  #: off the direction to the chair, to each side
-        chairs: Chairs = Chairs()  #: of other sizes
+        chairs: Chairs = Chairs()  #: sizes from which the chair's is drawn
         at_chair: AtChair = AtChair()  #: of starts near the chair
 
         def __post_init__(self) -> None:

@@ -198,7 +198,7 @@ def planted(
     feet_speed: Tensor,
     feet_down: Tensor,
     *,
-    #: s²/m²
+    #: s²/m², of the foot's squared speed
     scale: float = 30.0,
 ) -> Tensor:
     """Mean over the feet of exp(-scale v²), v its speed along the floor in m/s; 0 of a foot that does not touch it."""
@@ -210,7 +210,7 @@ def unhurried(
     *,
     #: m/s downwards that cost nothing
     most: float = 0.6,
-    #: s²/m²
+    #: s²/m², of the square of what is above that
     scale: float = 10.0,
 ) -> Tensor:
     """exp(-scale max(0, v - most)²), v the pelvis' speed downwards."""

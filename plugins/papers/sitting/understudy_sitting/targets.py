@@ -24,11 +24,11 @@ class TargetAhead(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        every: float = 2.5  #: s
+        every: float = 2.5  #: s, above 0, after which a new target is drawn
         within: float = 0.3  #: m, at which it is reached
-        near: float = 1.5  #: m
+        near: float = 1.5  #: m, above 0, the nearest target
         far: float = 4.0  #: m, the farthest target; above ``near``
-        degrees: float = 60.0  #: to each side
+        degrees: float = 60.0  #: 0 to 180, off straight ahead, to each side
 
         def __post_init__(self) -> None:
             check_range(self, "every", "within", "near", above=0)

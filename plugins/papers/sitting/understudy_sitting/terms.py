@@ -42,7 +42,7 @@ def steering(
     reference_torso_velocity: Tensor,
     difficulty: Tensor | None = None,
     *,
-    #: s²/m² (eq. 4)
+    #: s²/m², of the squared difference of velocities (eq. 4)
     scale: float = 10.0,
     #: difficulty from which on it no longer counts; null is never
     until: float | None = None,
@@ -65,7 +65,7 @@ class Approach:
 
     @dataclass(frozen=True)
     class Options:
-        scale: float = 10.0  #: s/m
+        scale: float = 10.0  #: s/m, above 0, of V^walk (eq. 5)
         since: float | None = None  #: difficulty from which on it counts; null is always
 
         def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ def turning(
     torso_angles: Tensor,
     reference_torso_angles: Tensor,
     *,
-    #: 1/rad² (eq. 6)
+    #: 1/rad², of the summed squared angles (eq. 6)
     scale: float = 10.0,
 ) -> Tensor:
     """exp(-10 Σ_i d(θ_i, θ̂_i)²) (eq. 6, weight 0.1), θ the torso's pitch, yaw and roll."""
@@ -130,7 +130,7 @@ class SitDown:
     @dataclass(frozen=True)
     class Options:
         seated: float = 1.0  #: reward of a decision that ends so
-        nearing: float = 0.5  #: s/m
+        nearing: float = 0.5  #: s/m: what coming nearer by 1 m/s is worth (eq. 8)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._dt = options, context.control_dt * context.decision

@@ -108,8 +108,8 @@ class Importance(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        segments: int = 20  #: n of eq. 3.9
-        uniform: float = 0.2  #: u of eq. 3.9
+        segments: int = 20  #: n of eq. 3.9: segments of the motion, from 1
+        uniform: float = 0.2  #: u of eq. 3.9, in [0, 1]: the share that is drawn evenly
         decay: float = 0.9  #: of the running average of returns, per rollout
         by: By = (
             "visits"  #: whose returns w are: of states that pass a segment, or that begin in it

@@ -68,9 +68,9 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
 
     @dataclass(frozen=True)
     class Options:
-        clips: tuple[str, ...]  #: names or files
-        window: int = 32  #: K, frames
-        channels: int = 64  #: C
+        clips: tuple[str, ...]  #: names of generated clips, or clip files
+        window: int = 32  #: K, frames of a window, from 2
+        channels: int = 64  #: C, how many features a frame has
         width: int = 9  #: frames of the convolution; 0.3 s at 30 Hz
         batch: int = 64  #: windows of an optimiser step, from 1
         learning_rate: float = 1e-3  #: of Adam, above 0

@@ -66,9 +66,9 @@ class Regularity:
 
     @dataclass(frozen=True)
     class Options:
-        energy: float = 100.0  #: β, J
-        link: float = 50.0  #: β, m/s²
-        joint: float = 200.0  #: β, rad/s²
+        energy: float = 100.0  #: β of the kinetic energy, J, above 0
+        link: float = 50.0  #: β of the links' accelerations, m/s², above 0
+        joint: float = 200.0  #: β of the joints' accelerations, rad/s², above 0
 
         def __post_init__(self) -> None:
             check_range(self, "energy", "link", "joint", above=0)

@@ -37,9 +37,9 @@ class Contact:
     servos and firm contacts bear each other, as long as no servo is at its limit.
     """
 
-    #: MuJoCo's integrator.
+    #: which of MuJoCo's integrators steps the physics
     integrator: Literal["euler", "rk4", "implicit", "implicitfast", "discrete"] | None = None
-    cone: Literal["pyramidal", "elliptic"] | None = None  #: of friction
+    cone: Literal["pyramidal", "elliptic"] | None = None  #: shape of MuJoCo's friction cone
     impratio: float | None = (
         None  #: how much harder friction is than normal forces; more slips less
     )

@@ -24,7 +24,7 @@ _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM
 @dataclass(frozen=True)
 class Pair:
     of: tuple[str, ...]  #: names of geoms: spheres and capsules
-    to: tuple[str, ...]  #: names of others
+    to: tuple[str, ...]  #: names of the geoms of the other group
 
 
 class Distances(Fields):

@@ -55,7 +55,7 @@ class ParticleSimulator(WarpSimulator):
 
     @dataclass(frozen=True)
     class Options:
-        iterations: int = 8  #: of a sub-step
+        iterations: int = 8  #: solver iterations of a sub-step, 1 to 1024
         #: ω of Macklin et al. 2014, section 4.2; under 2 a sum of averaged corrections converges
         relaxation: float = 1.5
         #: Of the speed that gravity gives in a sub-step: slower particles, unless of a fluid, stay where

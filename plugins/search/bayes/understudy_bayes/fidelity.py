@@ -22,8 +22,8 @@ class Fidelity:
     """
 
     option: str = DIFFICULTY  #: key of the configuration that goes from ``low`` to ``high``
-    low: float = 0.0  #: at z = 0
-    high: float = 1.0  #: at z = 1
+    low: float = 0.0  #: the option's value in the cheapest trial (z = 0)
+    high: float = 1.0  #: its value in the trial that counts (z = 1)
     integer: bool = False  #: whether the option takes whole numbers only
 
     def __post_init__(self) -> None:

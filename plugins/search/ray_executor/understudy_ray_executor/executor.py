@@ -39,7 +39,7 @@ class RayExecutor:
         workers: int | None = (
             None  #: trials at once; null is as many as there is room for. Of more some wait, until the cluster grows
         )
-        num_cpus: float = 1.0  #: of a trial
+        num_cpus: float = 1.0  #: CPU cores that Ray keeps for a trial
         num_gpus: float | None = None  #: of a trial; null is one where device=cuda, else none
         threads: int = 1  #: of torch, in each trial
         retries: int = 2  #: times that a trial goes on from its checkpoint after its actor was lost

@@ -39,7 +39,7 @@ class Stage:
     """A policy, and for how long it acts."""
 
     run: str  #: run folder, or skill, whose policy acts, by its mode
-    until: Until  #: when it is done
+    until: Until  #: the criterion at which the stage is done
     #: that it may take, which terminations of overtime judge; null: as long as it likes
     seconds: float | None = None
     #: by the name that the run's parts know: the field of this task that they read instead
@@ -74,7 +74,7 @@ class Stages(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        stages: tuple[Stage, ...]  #: in order
+        stages: tuple[Stage, ...]  #: the stages, in the order in which they act
 
         def __post_init__(self) -> None:
             if not self.stages:

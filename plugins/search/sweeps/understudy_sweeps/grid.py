@@ -16,7 +16,7 @@ class Published:
     """Numbers to compare with: one a variant, of one figure of the table."""
 
     caption: str  #: where they are from
-    values: Mapping[str, float]  #: by variant
+    values: Mapping[str, float]  #: the published number of each variant
     of: str = "objective"  #: ``objective``, ``success_rate``, ``samples``, or a measure
 
 

@@ -87,7 +87,7 @@ def generated_backflip(
     #: return only ten poses: standing, crouch, take-off, half tucked, tucked twice, open, landing,
     #: squat, standing
     key_poses: bool = False,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """A backflip, from standing at ease to standing at ease 0.7 m behind. It does not loop.

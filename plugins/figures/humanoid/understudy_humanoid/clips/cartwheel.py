@@ -89,7 +89,7 @@ def generated_cartwheel(
     #: return only eleven poses: standing, the step, both feet's leaving, both hands' planting,
     #: upside down, and the same backwards
     key_poses: bool = False,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """A cartwheel to one side, facing x, from standing at ease to standing at ease 2.8 m to that side. It

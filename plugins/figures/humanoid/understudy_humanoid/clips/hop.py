@@ -40,7 +40,7 @@ def generated_hop(
     distance: float = 0.0,
     #: which leg hops
     leg: Literal["both", "left", "right"] = "both",
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """One hop of many, in place or forward along +x, from the touchdown to the next.

@@ -73,7 +73,7 @@ def generated_sit(
     seat_height: float = 0.45,
     #: s, from standing to sitting still, from 1.2 to 6
     seconds: float = 2.2,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """Sitting down on a chair behind the figure. It does not loop.
@@ -92,7 +92,7 @@ def generated_stand(
     seat_height: float = 0.45,
     #: s, from sitting to standing still
     seconds: float = 2.0,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """Standing up from a chair; as :func:`generated_sit`."""

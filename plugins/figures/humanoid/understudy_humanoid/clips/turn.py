@@ -46,7 +46,7 @@ def generated_turn_left(
     angle: float = math.pi / 2,
     #: of the whole turn; a step may take 0.3 to 1.5 s
     seconds: float = 2.4,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """A turn to the left in place, from standing to standing.
@@ -67,7 +67,7 @@ def generated_turn_right(
     angle: float = math.pi / 2,
     #: of the whole turn; a step may take 0.3 to 1.5 s
     seconds: float = 2.4,
-    #: frames/s
+    #: frames/s of the clip, from 10 to 1000
     frame_rate: float = 60.0,
 ) -> Clip:
     """A turn to the right in place; as :func:`generated_turn_left`."""
