@@ -6,7 +6,7 @@ REQUIRES = ("report", "skills")
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
     "command": {
-        "cite": ("commands:Cite", "print whom a run is owed to, as BibTeX: understudy cite RUN"),
+        "cite": ("commands:Cite", "print what to cite for a run, as BibTeX: understudy cite RUN"),
         "licence": ("commands:Licence", "say on what terms a run may be used: RUN --for USE"),
     },
 }

@@ -93,7 +93,7 @@ def next_steps(folder: Path, name: str, parts: Sequence[str] = PARTS) -> str:
         "paper": f"an experiment, {name}/first, and a table, {name}/table, in conf",
     }
     tries = {
-        "reward": [("Train by a reward:", f"{train} 'reward.terms.high={{name: {name}/high}}'")],
+        "reward": [("Train with a reward:", f"{train} 'reward.terms.high={{name: {name}/high}}'")],
         "observation": [(
             "Train with the observation:",
             f"{train} 'encoder.extra={{name: {name}/height}}' 'policy.feedback.observation=[state,extra]'",
