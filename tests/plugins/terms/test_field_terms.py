@@ -5,6 +5,10 @@ import math
 import pytest
 import torch
 
+from understudy.errors import ConfigError
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
 from understudy_terms.terms import beyond, reached, steady, value, value_where
 
 VECTOR = torch.tensor([[1.0, 2.0], [3.0, 0.5]])
@@ -44,3 +48,27 @@ def test_thresholds() -> None:
     assert beyond(NUMBER, limit=3.0).tolist() == [False, True]
     assert beyond(VECTOR, limit=2.0).tolist() == [True, True]
     assert beyond(VECTOR, limit=2.0, index=0).tolist() == [False, True]
+
+
+def observing(*words: str) -> Environment:
+    experiment = ["experiment=miniature/go", "device=cpu", "num_worlds=3", *words]
+    return build_environment(
+        load_experiment([*experiment, "policy.observation=[extra]"])
+    ).environment
+
+
+@pytest.mark.parametrize(("field", "shape"), [("position", [2]), ("episode_time", [])])
+def test_any_field_is_observed_as_it_is(field: str, shape: list[int]) -> None:
+    given = f"encoder.extra={{name: value, reads: {{value: {field}}}, shape: {shape}}}"
+    environment = observing(given)
+    environment.reset(seed=0)
+    found = environment.advance(torch.ones(3, environment.action_size)).observations["extra"]
+    assert found.tolist() == environment.table[field].reshape(3, -1).tolist()
+    environment.close()
+
+
+def test_a_vector_observed_without_its_shape_is_refused() -> None:
+    environment = observing("encoder.extra={name: value, reads: {value: position}}")
+    with pytest.raises(ConfigError, match=r"extra.*\(3, 2\).*\(3, 1\)"):
+        environment.reset(seed=0)
+    environment.close()

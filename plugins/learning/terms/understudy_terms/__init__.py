@@ -1,4 +1,4 @@
-"""Terms and memories of any field, whatever the task."""
+"""Terms, memories and an observation of any field, whatever the task."""
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
@@ -16,6 +16,9 @@ PARTS = {
     "termination": {
         "reached": ("terms:reached", "a field is small enough"),
         "beyond": ("terms:beyond", "a field is too large"),
+    },
+    "encoder": {
+        "value": ("encoders:Value", "a field itself"),
     },
     "memory": {
         "timer": ("memories:Timer", "how long a condition has held"),

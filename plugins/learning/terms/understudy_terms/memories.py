@@ -5,10 +5,8 @@ Several of a kind in one task need other names: ``provides: {timer: seconds_on_s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,22 +14,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.running.soundness import rows
 from understudy.task import Context, Memory, Shape
-
-
-@dataclass(frozen=True)
-class Shaped:
-    """Options of what keeps values as they are."""
-
-    shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
-
-    def __post_init__(self) -> None:
-        _check_shape(self)
-
-
-def _check_shape(options: Any) -> None:
-    check_range(options, "shape", least=1)
-    if math.prod(options.shape) > 10_000:
-        raise ValueError(f"shape={options.shape} is not possible: give at most 10000 values.")
+from understudy_terms.shaped import Shaped, check_shape
 
 
 class Timer(Memory):
@@ -178,7 +161,7 @@ class History(Memory):
 
         def __post_init__(self) -> None:
             check_range(self, "length", least=1, most=10_000)
-            _check_shape(self)
+            check_shape(self)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._length = options.length

@@ -1,0 +1,26 @@
+"""The option that says what shape a field has which is kept or observed as it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.options import check_range
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """Options of what takes values as they are."""
+
+    shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
+
+    def __post_init__(self) -> None:
+        check_shape(self)
+
+
+def check_shape(options: Any) -> None:
+    """Raise :class:`ValueError` of a `shape` of these options that cannot be."""
+    check_range(options, "shape", least=1)
+    if math.prod(options.shape) > 10_000:
+        raise ValueError(f"shape={options.shape} is not possible: give at most 10000 values.")
