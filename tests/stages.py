@@ -71,9 +71,6 @@ GIVEN = {
     "dressing/shirt": (
         "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",
     ),
-    "dressing/shirt_larger": (
-        "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",
-    ),
 }
 
 

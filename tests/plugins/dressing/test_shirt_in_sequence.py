@@ -11,6 +11,7 @@ from understudy.command.cli import main
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_sequencing.stages import Stages
+from understudy_skills.skill import names, open_skill
 
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
 SMALL = ["device=cpu", "curriculum=null", "simulators.person.name=mujoco", "scenes.cloth.edge=0.03", "scene.steps.cloth=10"]  # fmt: skip
@@ -38,6 +39,32 @@ def test_the_first_two_in_one_episode() -> None:
         if decision > 8 and done.all():
             break
     assert done.all()
+    environment.close()
+
+
+def test_the_whole_shirt_that_ships_is_of_the_skills_beside_it() -> None:
+    skill = open_skill("dressing/shirt_larger")
+    runs = [stage["run"] for stage in skill.card["config"]["actuation"]["stages"]]
+    assert runs == [f"dressing/shirt_{name}_larger" for name in NAMES]
+    assert set(runs) < set(names())
+    assert skill.card["evaluation"]["episodes"] >= 32
+    assert skill.card["evaluation"]["success"] == "finished within 39 s"
+
+
+@pytest.mark.slow
+def test_the_whole_shirt_is_put_on() -> None:
+    """All seven that ship, from a shirt on the shoulders; the arms through no cloth when they are done."""
+    words = ["experiment=dressing/shirt_larger", "device=cpu", "simulators.person.name=mujoco", "num_worlds=2"]  # fmt: skip
+    environment = build_environment(load_experiment(words), evaluating=True).environment
+    environment.reset(seed=1)
+    done = torch.zeros(2, dtype=torch.bool)
+    for _ in range(350):
+        step = environment.advance(torch.zeros(2, environment.action_size))
+        done |= step.terminated & ~step.failed
+        environment.begin(step.ended)
+        if done.any():
+            break
+    assert done.any()
     environment.close()
 
 

@@ -1,5 +1,7 @@
 """Learning to dress (Clegg et al. 2018): a person, a sleeve, and what the two have to do with each other."""
 
+from understudy_skills.packaged import skills_beside
+
 #: Plugins that this one builds on.
 REQUIRES = (
     "cloth", "composite", "mujoco", "networks", "ppo", "report", "skills", "tensors", "terms", "warp_torch",
@@ -60,3 +62,5 @@ CITATIONS = {
         "reinforcement learning. ACM Transactions on Graphics 37(6), 179."
     ),
 }
+
+understudy_register = skills_beside(__file__)
