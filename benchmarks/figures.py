@@ -101,7 +101,7 @@ class Measured:
 @cache
 def rows(record: str) -> tuple[Mapping[str, Any], ...]:
     """The lines of a record; of a sweep's journal the final reports, with the variant and seed of
-    their keys."""
+    their keys. A line without ``measures`` has them as its own, so that it stands beside reports."""
     with open(RECORDS / record, encoding="utf-8", newline="") as file:
         if record.endswith(".csv"):
             return tuple({**row, "measures": row} for row in csv.DictReader(file))
@@ -110,7 +110,7 @@ def rows(record: str) -> tuple[Mapping[str, Any], ...]:
     for line in lines:
         if "event" in line and line["event"] != "finished":
             continue
-        row = line["report"] if "event" in line else line
+        row = line["report"] if "event" in line else {"measures": line, **line}
         variant, _, seed = str(row.get("key", "")).rpartition("/seed")
         found.append({"variant": variant, "seed": int(seed), **row} if seed.isdigit() else row)
     return tuple(found)

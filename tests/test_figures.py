@@ -124,6 +124,20 @@ def test_dates_are_the_records_own() -> None:
     assert figures.days({"2026-11-27", "2026-11-24", "2026-11-26"}) == "2026-11-24, 26 and 27"
 
 
+def test_what_stays_within_bounds_is_counted_by_the_same_bounds() -> None:
+    """Imitation at 0.6 with less volume, 128 episodes: one of seed 0 stays within the bounds for styles and 18 of
+    seed 2, by records of which one has its measures as a line's own. Seed 1 was looked at by tighter bounds only."""
+    asked = [c for c in SPEC["claims"]["spacetime-bounds"] if "less volume lasts" in c["claim"]]
+    (found,) = asked
+    theirs = figures.measure({**found, **found["more"]})
+    assert theirs.values == pytest.approx({0: 1 / 128, 2: 18 / 128})
+    assert sorted(figures.measure(found).values) == [0, 1, 2]
+    for name in figures.records(found["more"]):
+        text = (figures.RECORDS / name).read_text(encoding="utf-8")
+        assert "spacetime/reported" not in text
+        assert "styles/" in text
+
+
 def claim(
     monkeypatch: pytest.MonkeyPatch, ours: list[Any], theirs: list[Any] | float, **more: Any
 ) -> str:

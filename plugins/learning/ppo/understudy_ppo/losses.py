@@ -28,8 +28,8 @@ def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float | None) -> 
 class KLPenalty:
     """β KL[π_old, π], added to the loss (eq. 8), with β adapted after each update (section 4).
 
-    Zhang et al. 2020 (eq. 4) add it to the clipped surrogate. They write KL[π, π_old], which differs
-    from this in third order of the step.
+    Zhang et al. 2020 (eq. 4) have it beside the clipped surrogate, printed with a minus in a loss that is
+    minimised. They write KL[π, π_old], which differs from this in third order of the step.
     """
 
     coefficient: float = 1.0  #: β of the first update; "not important in practice", it adapts fast

@@ -38,8 +38,8 @@ class CMFBO(BookedSearch):
         initial: int = 16  #: trials at z_min, the cheapest, at points that no model chose
         fidelity: Fidelity = field(default_factory=Fidelity)  #: the difficulty from z_min to z_max
         #: ε: how well y must be known at one fidelity before the next is asked about, a standard
-        #: deviation as a share of the objective's scale: of ``ceiling`` where the search has one (the chapter's
-        #: objectives reach 1), else of the range of all y seen.
+        #: deviation as a share of the objective's scale: of ``ceiling`` where the search has one (eq. 6.5 reaches
+        #: 1 at most), else of the range of all y seen. 0.02 is section 6.3.2's.
         epsilon: float = 0.02
         #: What share of the noise's standard deviation is always enough, what four trials at one place could tell;
         #: 0 is algorithm 3 as printed.
