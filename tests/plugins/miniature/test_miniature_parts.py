@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 from miniatures import QUICK, overrides_of, train
+from spoiled_runs import spoiled
 
 from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.records.runs import open_run
@@ -201,6 +202,36 @@ def test_a_hopeless_harvest_stops(built_on: Path) -> None:
         TrainingError, match=r"No episode of .* ended by job.ending=success in 1 decisions"
     ):
         training.iterate()
+
+
+@pytest.mark.parametrize(
+    "policy", [3, [], {}, {"log_deviation": torch.zeros(2, dtype=torch.bool)}], ids=str
+)
+def test_a_harvest_of_a_run_whose_policy_is_none(
+    policy: Any, built_on: Path, tmp_path: Path
+) -> None:
+    run = spoiled(built_on / "sleeve", tmp_path / "run", policy=policy)
+    with pytest.raises(
+        RunError, match=r"^job\.run: .* (is a run that learns no policy|does not fit)"
+    ):
+        prepared("experiment=miniature/sleeve_bank", f"job.run={run}")
+
+
+def test_a_harvest_of_what_learns_no_policy_says_so(built_on: Path) -> None:
+    """Not that a scene is missing, which nobody left out."""
+    with pytest.raises(RunError, match=r"^job\.run: .*poses is a run that learns no policy\. Name"):
+        prepared("experiment=miniature/sleeve_bank", f"job.run={built_on / 'poses'}")
+
+
+@pytest.mark.parametrize("network", [None, 3, {}], ids=str)
+def test_an_auto_encoder_without_its_network_is_refused(
+    network: Any, built_on: Path, tmp_path: Path
+) -> None:
+    run = spoiled(built_on / "poses", tmp_path / "run", network=network)
+    with pytest.raises(
+        RunError, match=r"^The auto-encoder of .*run does not fit its own config.*: 'network"
+    ):
+        prepared("experiment=miniature/styles", f"actuation.run={run}")
 
 
 def test_a_run_of_something_else_is_no_auto_encoder(built_on: Path) -> None:
