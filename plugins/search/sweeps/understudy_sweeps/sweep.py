@@ -45,6 +45,11 @@ _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
 def sweep(overrides: Sequence[str]) -> int:
     """Run the sweep that `overrides` describe; prints a table, its page and the sweep's folder.
 
+    Returns
+    -------
+    status
+        0, or 1 where no trial gave a result, or the loop could not do all that it was to do.
+
     Raises
     ------
     PreemptedError
@@ -94,7 +99,12 @@ def sweep(overrides: Sequence[str]) -> int:
         if path.exists():  # why not, was said
             print(f"page: {path}")
     print(f"sweep: {folder}")
-    return 0
+    if loop.missing:
+        print(
+            f"Not done: {', '.join(loop.missing)}. The same command tries again.", file=sys.stderr
+        )
+    reports = journal.finished.values()
+    return int(bool(loop.missing) or (bool(reports) and all(r.status != "ok" for r in reports)))
 
 
 @contextmanager
@@ -188,8 +198,8 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
             if report.final:
                 if report.key in talk.again and report.status != "ok":
                     raise RunError(
-                        f"The run of trial '{report.key}', with whose policy another begins, is gone, and it "
-                        f"could not be trained again: {report.status}"
+                        f"The run of trial '{report.key}', on which another builds, is gone, and it could not be trained "
+                        f"again: {report.status}"
                     )
                 running -= 1
                 page.keep_up(journal, talk.loop.summary())
@@ -254,12 +264,25 @@ def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) 
 
 
 def _first(trial: Trial, journal: Journal, folder: Path) -> Trial:
-    """The trial; or the finished one that has to be trained again before, since it begins with the
-    policy of a run that is gone, as where a journal alone was kept."""
-    earlier = (trial.start or {}).get("trial")
-    if earlier not in journal.finished or (folder_of(earlier, folder) / JUDGED).exists():
-        return trial
-    return _first(next(t for t in journal.asked if t.key == earlier), journal, folder)
+    """The trial; or the finished one that has to be trained again before, since it builds on a run that is gone, as where
+    a journal alone was kept."""
+    for earlier in _built_on(trial, journal, folder):
+        if not (folder_of(earlier, folder) / JUDGED).exists():
+            return _first(next(t for t in journal.asked if t.key == earlier), journal, folder)
+    return trial
+
+
+def _built_on(trial: Trial, journal: Journal, folder: Path) -> Iterator[str]:
+    """The finished trials that `trial` takes something from: with whose policy it begins, or whose run folders its
+    overrides name."""
+    start = (trial.start or {}).get("trial")
+    for key, report in journal.finished.items():
+        run = re.escape(str(folder_of(key, folder)))
+        named = re.compile(rf"(?<![\w./~-]){run}(?![\w.~%-])")
+        if key == start or (
+            report.status == "ok" and key != trial.key and any(map(named.search, trial.overrides))
+        ):
+            yield key
 
 
 def _placed(trial: Trial, journal: Journal, folder: Path) -> Trial:
