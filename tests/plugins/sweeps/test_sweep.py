@@ -748,6 +748,22 @@ def test_a_policy_that_is_gone_is_learned_again(
     )  # each sweep is told once
 
 
+@pytest.mark.parametrize(
+    "of", ["objective", "success_rate", "samples", "seconds", "return", "at", "metrics/reward"]
+)
+def test_what_published_numbers_are_of_is_known(of: str) -> None:
+    module._check_paper({"caption": "", "of": of, "values": {"slow": 1.0}}, {"at"})
+
+
+def test_published_numbers_of_nothing_are_refused(tmp_path: Path) -> None:
+    """They stood in the table beside a column without values."""
+    paper = "+outer_loop.paper={caption: Table 1, of: att, values: {slow: 1}}"
+    match = r"^outer_loop\.paper\.of=att is no figure of these trials\. Did you mean 'at'\?$"
+    with pytest.raises(ConfigError, match=match):
+        sweep(tmp_path / "sweep", TWO, paper.removeprefix("+"))
+    assert not (tmp_path / "sweep").exists()
+
+
 def test_a_sweep_that_gave_nothing_does_not_end_well(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -33,6 +33,7 @@ from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Executor, OuterLoop, Report, Trial, Work
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
+from understudy_sweeps.results import METRICS, OBJECTIVE, SAMPLES, SECONDS, SUCCESS
 from understudy_sweeps.trial import JUDGED, REFUSED, folder_of, note_stop, overrides_of
 from understudy_training.processes import requested
 
@@ -69,7 +70,8 @@ def sweep(overrides: Sequence[str]) -> int:
     given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
-    _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    known = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    _check_paper(chosen.effective().get("paper"), known)
     executor: Executor = experiment.need("executor").build(work)
     _refuse_other_things(folder)  # before the lock looks through all of it, as of /
     book = runs.Run(_made(folder), {})
@@ -239,10 +241,11 @@ def _composed(overrides: Sequence[str]) -> Experiment:
         ) from error
 
 
-def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> None:
+def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> set[str]:
     """Refuse a sweep of which a variant cannot be composed, or lacks one of `measures`, before
-    anything runs."""
+    anything runs; the measures of all variants, none where a job may have some of its own."""
     seen: set[str] = set()
+    found: list[set[str]] = []
     for trial in trials:
         if trial is None or (trial.variant or trial.key) in seen:
             continue
@@ -255,12 +258,26 @@ def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) 
             what = f"Variant '{trial.variant}'" if trial.variant else f"Trial '{trial.key}'"
             raise ConfigError(f"{what} cannot be run: {error}") from error
         known = {c.name for c in experiment.many("measure")}
+        found.append(known if experiment.one("job") is None else set())
         for name in measures if known else ():  # else the job may have some of its own
             if name not in known | {"return", "success_rate"}:
                 raise ConfigError(
                     f"outer_loop needs the measure '{name}', which trials have not got."
                     f"{suggestion(name, known)}"
                 )
+    return set().union(*found) if all(found) else set()
+
+
+def _check_paper(paper: Mapping[str, Any] | None, measures: set[str]) -> None:
+    """Refuse published numbers `of` what no table of variants that have `measures` shows."""
+    of, known = (
+        (paper or {}).get("of", OBJECTIVE),
+        {OBJECTIVE, SUCCESS, SAMPLES, SECONDS, *measures},
+    )
+    if measures and of not in {*known, "return"} and not of.startswith(METRICS):
+        raise ConfigError(
+            f"outer_loop.paper.of={of} is no figure of these trials.{suggestion(of, known)}"
+        )
 
 
 def _first(trial: Trial, journal: Journal, folder: Path) -> Trial:
