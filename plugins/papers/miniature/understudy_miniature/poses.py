@@ -136,7 +136,7 @@ def trained_decoder(run: str, context: Context) -> tuple[nn.Module, int]:
     options: LearnPoses.Options = job.options
     joints = experiment.need("poses").build().joints
     network = AutoEncoder(joints, options.code, options.hidden)
-    state = newest_state(run).get("network")
+    state: Any = newest_state(run).get("network")
     for misfit in misshapen(dict(network.state_dict()), state, "network"):
         raise RunError(f"The auto-encoder of {run} does not fit its own configuration: {misfit}.")
     network.load_state_dict(state)
