@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -258,6 +259,14 @@ def search(**more: Any) -> RandomFidelity:
 
 def finished(key: str, objective: float) -> Report:
     return Report(key, "ok", objective, run=f"runs/{key}")
+
+
+@pytest.mark.parametrize("key", ["x", "trial", "trial-1", "trial0x", "trial1"])
+def test_a_trial_that_a_search_never_asked_for_is_none_of_its_own(key: str) -> None:
+    first = search(trials=4).ask(0)
+    assert first is not None
+    with pytest.raises(ConfigError, match=f"'{key}' was at another point"):
+        search(trials=4).recall(replace(first, key=key))
 
 
 def test_a_search_raises_fidelity_and_begins_from_the_best() -> None:

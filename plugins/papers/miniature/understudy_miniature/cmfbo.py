@@ -78,8 +78,8 @@ class RandomFidelity(OuterLoop):
         return trial
 
     def recall(self, trial: Trial) -> bool:
-        number = int(trial.key.removeprefix("trial"))
-        if trial.point != self._point(number):
+        number = trial.key.removeprefix("trial")
+        if not number.isdecimal() or trial.point != self._point(int(number)):
             raise ConfigError(f"Trial '{trial.key}' was at another point when this search began.")
         self._trials[trial.key] = trial
         return True
