@@ -13,6 +13,7 @@ import torch
 from miniatures import QUICK, overrides_of, train
 from spoiled_runs import spoiled
 
+from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.records.runs import open_run
 from understudy.running.training import Training
@@ -192,6 +193,29 @@ def test_harvests_of_what_is_not_there_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=sentence):
         prepared(*overrides_of("sleeve_bank", built_on), more)
+
+
+def test_a_harvest_whose_budget_ends_says_what_it_has(
+    built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a state it ended well and left no bank; with too few it left them without a word."""
+    words = [
+        *overrides_of("sleeve_bank", built_on),
+        "run.video_seconds=0",
+        "job.decisions=1",
+        "num_worlds=2",
+    ]
+    assert main(["train", *words, "budget.samples=2", f"run.dir={tmp_path / 'none'}"]) == 1
+    said = capsys.readouterr().err
+    assert (
+        "No state was found before the budget was spent, so there is no bank: understudy resume"
+        in said
+    )
+    assert not (tmp_path / "none/bank.json").exists()
+    more = ["job.decisions=64", "num_worlds=64", "job.count=100000", "budget.samples=4096"]
+    assert main(["train", *words, *more, f"run.dir={tmp_path / 'few'}"]) == 0
+    count = len(bank.load(tmp_path / "few")["positions"])
+    assert f"The budget was spent at {count} of 100000 states" in capsys.readouterr().err
 
 
 def test_a_hopeless_harvest_stops(built_on: Path) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, suggestion
+from understudy.command.command import tell
+from understudy.errors import ConfigError, TrainingError, suggestion
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.jobs import Job
@@ -57,10 +58,24 @@ class Gathered:
         return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
 
     def save(self, run: Run, about: Mapping[str, Any], scene: Scene | None) -> None:
-        """Leave them, states of `scene`, if there are any, as the bank of `run`."""
-        if self.count:
-            states = {name: value[: self._wanted] for name, value in self._states.items()}
-            bank.save(run.path / bank.NAME, states, about, scene)
+        """Leave them, states of `scene`, as the bank of `run`.
+
+        Raises
+        ------
+        TrainingError
+            there are none: a run that ends well has a bank.
+        """
+        more = f"understudy resume {run.path} budget.samples=N goes on"
+        if not self.count:
+            raise TrainingError(
+                f"No state was found before the budget was spent, so there is no bank: {more}."
+            )
+        if not self.enough:
+            tell(
+                f"The budget was spent at {self.count} of {self._wanted} states, which the bank has: {more}."
+            )
+        states = {name: value[: self._wanted] for name, value in self._states.items()}
+        bank.save(run.path / bank.NAME, states, about, scene)
 
     def state_dict(self) -> State:
         return {"found": dict(self._states), "barren": self.barren}
