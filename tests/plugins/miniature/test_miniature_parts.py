@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 import torch
+from counted_task import LINE_TASK, line_plugins
 from miniatures import QUICK, overrides_of, train
 from spoiled_runs import spoiled
+from worlds import make_training
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError, TrainingError
@@ -20,6 +22,7 @@ from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_miniature.cmfbo import RandomFidelity
+from understudy_reinforcement.job import Reinforcement
 from understudy_skills import bank
 from understudy_skills.controller import Controller
 from understudy_skills.harvest import Harvest
@@ -283,6 +286,35 @@ def search(**more: Any) -> RandomFidelity:
 
 def finished(key: str, objective: float) -> Report:
     return Report(key, "ok", objective, run=f"runs/{key}")
+
+
+def test_a_search_from_high_to_low_is_none() -> None:
+    with pytest.raises(
+        ValueError, match=r"^high\.a\.b=0 is not possible: it must be at least low\.a\.b=2\."
+    ):
+        RandomFidelity.Options(low={"a.b": 2.0}, high={"a.b": 0.0})
+
+
+@pytest.mark.parametrize(("words", "said"), [(["difficulty=0.3"], 1), ([], 0)])
+def test_a_difficulty_that_nothing_reads_is_said(words: list[str], said: int) -> None:
+    note = "difficulty=0.3 changes nothing: no part of this task reads it."
+    task = make_training(line_plugins(), [*LINE_TASK, *words])
+    assert isinstance(task.job, Reinforcement)
+    assert task.job.notes().count(note) == said
+    for reads in ("go", "jumping"):  # its initial states, and its curriculum
+        job = prepared(f"experiment=miniature/{reads}", *words).job
+        assert isinstance(job, Reinforcement)
+        assert note not in job.notes()
+
+
+def test_a_run_that_could_not_be_resumed_is_locked_no_more(
+    built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A notebook's process goes on, and said that another process trains there."""
+    shutil.copytree(built_on / "go", tmp_path / "run")
+    assert main(["resume", str(tmp_path / "run"), "policy.hidden=[3]"]) == 2
+    assert "does not fit this configuration" in capsys.readouterr().err
+    assert main(["resume", str(tmp_path / "run")]) == 0
 
 
 @pytest.mark.parametrize("key", ["x", "trial", "trial-1", "trial0x", "trial1"])
