@@ -221,6 +221,32 @@ def test_a_harvest_whose_budget_ends_says_what_it_has(
     assert f"The budget was spent at {count} of 100000 states" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda v: None, lambda v: "x", lambda v: [], lambda v: v[:-1], lambda v: v[..., :1], lambda v: v.bool()],
+)  # fmt: skip
+def test_a_harvest_goes_on_with_states_alone(
+    spoil: Any, built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        *overrides_of("sleeve_bank", built_on),
+        "run.video_seconds=0",
+        "job.ending=any",
+        "job.count=1000",
+    ]
+    folder = ["budget.samples=4096", f"run.dir={tmp_path / 'first'}"]
+    assert main(["train", *words, *folder]) == 0
+    state, _ = open_run(tmp_path / "first").newest()
+    found = {**state["found"], "positions": spoil(state["found"]["positions"])}
+    run = spoiled(tmp_path / "first", tmp_path / "run", found=found)
+    assert main(["resume", str(run), "budget.samples=8192"]) == 2
+    said = capsys.readouterr().err
+    assert (
+        "understudy: The checkpoint does not fit" in said
+        or "understudy: The states of the checkpoint" in said
+    )
+
+
 def test_a_hopeless_harvest_stops(built_on: Path) -> None:
     """No point can get there in the first tenth of a second."""
     training = prepared(
