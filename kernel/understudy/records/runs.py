@@ -191,7 +191,8 @@ class Run:
         """
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
         progress = state.get("progress") if isinstance(state, dict) else None
-        if not isinstance(progress, dict) or type(progress.get("samples")) is not int:
+        samples = progress.get("samples") if isinstance(progress, dict) else None
+        if type(samples) is not int or not 0 <= samples < 2**63:
             raise RunError(
                 f"{path} is damaged: it does not say after how many samples it was made."
             )

@@ -118,6 +118,9 @@ class Training:
             progress = {"pending": {}, **state["progress"]}
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
+            counts = {n: progress[n] for n, own in vars(Progress()).items() if type(own) is int}
+            if wrong := [f"{n}={c}" for n, c in counts.items() if type(c) is not int or c < 0]:
+                raise ValueError(f"'progress' cannot be {wrong[0]}")
             load(state)
             self.progress = Progress(**progress)
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:

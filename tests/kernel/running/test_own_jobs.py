@@ -280,6 +280,21 @@ def test_the_checkpoint_of_another_job(tmp_path: Path) -> None:
         resumed(plugins(), tmp_path / "run")
 
 
+@pytest.mark.parametrize("name", ["iteration", "samples", "evaluated_at", "evaluations"])
+@pytest.mark.parametrize("count", [-1, 1.5])
+def test_a_checkpoint_that_counts_what_cannot_be(name: str, count: float, tmp_path: Path) -> None:
+    """Half an iteration had no file name once the next checkpoint was due."""
+    training = make_training(plugins(), TASK, tmp_path / "run")
+    training.save()
+    path = tmp_path / "run/checkpoints/00000000"
+    state, meta = checkpoint.load(path)
+    checkpoint.save(path, {**state, "progress": {**state["progress"], name: count}}, meta)
+    training.run.unlock()
+    match = rf"does not fit this configuration: ValueError: 'progress' cannot be {name}={count}"
+    with pytest.raises(RunError, match=match if name != "samples" else f"{match}|damaged"):
+        resumed(plugins(), tmp_path / "run")
+
+
 def test_without_a_job_a_run_is_reinforcement_learning() -> None:
     assert isinstance(make_training(line_plugins(), LINE_TASK).job, Reinforcement)
 

@@ -226,6 +226,22 @@ def test_a_part_that_does_not_fit_may_be_left_out(tmp_path: Path) -> None:
     assert float(training.job.policy.push.detach()) == 3.0
 
 
+@pytest.mark.parametrize("policy", [None, 3, "x", [], {}], ids=str)
+def test_a_start_from_a_run_whose_policy_is_none(policy: Any, tmp_path: Path) -> None:
+    run = trained(tmp_path / "first")
+    path = run / "checkpoints/00000003"
+    state, meta = checkpoint.load(path)
+    checkpoint.save(path, {**state, "policy": policy}, meta)
+    with pytest.raises(RunError, match=r"^start\.parts: the actor of .*first does not fit: 'push'"):
+        make_training(plugins(), [*TASK, start(run)])
+
+
+def test_a_start_that_takes_nothing_over_is_refused(tmp_path: Path) -> None:
+    run = trained(tmp_path / "first")
+    with pytest.raises(ConfigError, match=r"^start\.parts=\[\] is not possible: name what"):
+        make_training(plugins(), [*TASK, f"start={{run: '{run}', parts: []}}"])
+
+
 def test_a_start_from_nowhere(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"nowhere is no run folder"):
         make_training(plugins(), [*TASK, start(tmp_path / "nowhere")])
@@ -323,7 +339,16 @@ def test_a_controller_of_another_scene(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "state", [{}, [], {"progress": 3}, {"progress": {"samples": "many"}}], ids=str
+    "state",
+    [
+        {},
+        [],
+        *(
+            {"progress": progress}
+            for progress in (3, *({"samples": n} for n in ("many", True, -1, 2**63)))
+        ),
+    ],
+    ids=str,
 )
 def test_a_checkpoint_that_does_not_say_after_how_many_samples(state: Any, tmp_path: Path) -> None:
     run = trained(tmp_path / "first")

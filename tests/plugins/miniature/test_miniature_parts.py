@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from counted_task import LINE_TASK, line_plugins
 from miniatures import QUICK, overrides_of, train
+from spoiled_runs import spoiled
+from worlds import make_training
 
+from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.records.runs import open_run
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_miniature.cmfbo import RandomFidelity
+from understudy_reinforcement.job import Reinforcement
 from understudy_skills import bank
 from understudy_skills.controller import Controller
 from understudy_skills.harvest import Harvest
@@ -192,6 +198,55 @@ def test_harvests_of_what_is_not_there_are_refused(
         prepared(*overrides_of("sleeve_bank", built_on), more)
 
 
+def test_a_harvest_whose_budget_ends_says_what_it_has(
+    built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a state it ended well and left no bank; with too few it left them without a word."""
+    words = [
+        *overrides_of("sleeve_bank", built_on),
+        "run.video_seconds=0",
+        "job.decisions=1",
+        "num_worlds=2",
+    ]
+    assert main(["train", *words, "budget.samples=2", f"run.dir={tmp_path / 'none'}"]) == 1
+    said = capsys.readouterr().err
+    assert (
+        "No state was found before the budget was spent, so there is no bank: understudy resume"
+        in said
+    )
+    assert not (tmp_path / "none/bank.json").exists()
+    more = ["job.decisions=64", "num_worlds=64", "job.count=100000", "budget.samples=4096"]
+    assert main(["train", *words, *more, f"run.dir={tmp_path / 'few'}"]) == 0
+    count = len(bank.load(tmp_path / "few")["positions"])
+    assert f"The budget was spent at {count} of 100000 states" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda v: None, lambda v: "x", lambda v: [], lambda v: v[:-1], lambda v: v[..., :1], lambda v: v.bool()],
+)  # fmt: skip
+def test_a_harvest_goes_on_with_states_alone(
+    spoil: Any, built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        *overrides_of("sleeve_bank", built_on),
+        "run.video_seconds=0",
+        "job.ending=any",
+        "job.count=1000",
+    ]
+    folder = ["budget.samples=4096", f"run.dir={tmp_path / 'first'}"]
+    assert main(["train", *words, *folder]) == 0
+    state, _ = open_run(tmp_path / "first").newest()
+    found = {**state["found"], "positions": spoil(state["found"]["positions"])}
+    run = spoiled(tmp_path / "first", tmp_path / "run", found=found)
+    assert main(["resume", str(run), "budget.samples=8192"]) == 2
+    said = capsys.readouterr().err
+    assert (
+        "understudy: The checkpoint does not fit" in said
+        or "understudy: The states of the checkpoint" in said
+    )
+
+
 def test_a_hopeless_harvest_stops(built_on: Path) -> None:
     """No point can get there in the first tenth of a second."""
     training = prepared(
@@ -201,6 +256,36 @@ def test_a_hopeless_harvest_stops(built_on: Path) -> None:
         TrainingError, match=r"No episode of .* ended by job.ending=success in 1 decisions"
     ):
         training.iterate()
+
+
+@pytest.mark.parametrize(
+    "policy", [3, [], {}, {"log_deviation": torch.zeros(2, dtype=torch.bool)}], ids=str
+)
+def test_a_harvest_of_a_run_whose_policy_is_none(
+    policy: Any, built_on: Path, tmp_path: Path
+) -> None:
+    run = spoiled(built_on / "sleeve", tmp_path / "run", policy=policy)
+    with pytest.raises(
+        RunError, match=r"^job\.run: .* (is a run that learns no policy|does not fit)"
+    ):
+        prepared("experiment=miniature/sleeve_bank", f"job.run={run}")
+
+
+def test_a_harvest_of_what_learns_no_policy_says_so(built_on: Path) -> None:
+    """Not that a scene is missing, which nobody left out."""
+    with pytest.raises(RunError, match=r"^job\.run: .*poses is a run that learns no policy\. Name"):
+        prepared("experiment=miniature/sleeve_bank", f"job.run={built_on / 'poses'}")
+
+
+@pytest.mark.parametrize("network", [None, 3, {}], ids=str)
+def test_an_auto_encoder_without_its_network_is_refused(
+    network: Any, built_on: Path, tmp_path: Path
+) -> None:
+    run = spoiled(built_on / "poses", tmp_path / "run", network=network)
+    with pytest.raises(
+        RunError, match=r"^The auto-encoder of .*run does not fit its own config.*: 'network"
+    ):
+        prepared("experiment=miniature/styles", f"actuation.run={run}")
 
 
 def test_a_run_of_something_else_is_no_auto_encoder(built_on: Path) -> None:
@@ -227,6 +312,43 @@ def search(**more: Any) -> RandomFidelity:
 
 def finished(key: str, objective: float) -> Report:
     return Report(key, "ok", objective, run=f"runs/{key}")
+
+
+def test_a_search_from_high_to_low_is_none() -> None:
+    with pytest.raises(
+        ValueError, match=r"^high\.a\.b=0 is not possible: it must be at least low\.a\.b=2\."
+    ):
+        RandomFidelity.Options(low={"a.b": 2.0}, high={"a.b": 0.0})
+
+
+@pytest.mark.parametrize(("words", "said"), [(["difficulty=0.3"], 1), ([], 0)])
+def test_a_difficulty_that_nothing_reads_is_said(words: list[str], said: int) -> None:
+    note = "difficulty=0.3 changes nothing: no part of this task reads it."
+    task = make_training(line_plugins(), [*LINE_TASK, *words])
+    assert isinstance(task.job, Reinforcement)
+    assert task.job.notes().count(note) == said
+    for reads in ("go", "jumping"):  # its initial states, and its curriculum
+        job = prepared(f"experiment=miniature/{reads}", *words).job
+        assert isinstance(job, Reinforcement)
+        assert note not in job.notes()
+
+
+def test_a_run_that_could_not_be_resumed_is_locked_no_more(
+    built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A notebook's process goes on, and said that another process trains there."""
+    shutil.copytree(built_on / "go", tmp_path / "run")
+    assert main(["resume", str(tmp_path / "run"), "policy.hidden=[3]"]) == 2
+    assert "does not fit this configuration" in capsys.readouterr().err
+    assert main(["resume", str(tmp_path / "run")]) == 0
+
+
+@pytest.mark.parametrize("key", ["x", "trial", "trial-1", "trial0x", "trial1"])
+def test_a_trial_that_a_search_never_asked_for_is_none_of_its_own(key: str) -> None:
+    first = search(trials=4).ask(0)
+    assert first is not None
+    with pytest.raises(ConfigError, match=f"'{key}' was at another point"):
+        search(trials=4).recall(replace(first, key=key))
 
 
 def test_a_search_raises_fidelity_and_begins_from_the_best() -> None:

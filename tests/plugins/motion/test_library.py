@@ -168,3 +168,16 @@ def test_what_a_file_leaves_unsaid_is_not_given_for_a_generated_clip(
     (name,) = option
     with pytest.raises(ConfigError, match=rf"motion\.{name}=.* is of clip files, and still is"):
         library.find("still", GENERATED, ReadOptions(**option))
+
+
+@pytest.mark.parametrize("named", ["file", "nothing"])
+def test_a_data_folder_that_is_none_is_named(
+    named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path / named))
+    said = (
+        rf"No motion clip 'zebra'\..* UNDERSTUDY_DATA={tmp_path / named} is no folder\. Clip files"
+    )
+    with pytest.raises(FileError, match=said):
+        library.load("zebra", None, registry())

@@ -335,7 +335,7 @@ def test_a_changed_byte_is_noticed(walk: skills.Skill, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "card",
     [
-        {"samples": None}, {"samples": "many"}, {"config": None}, {"config": []}, {"config": 3},
+        {"samples": None}, {"samples": "many"}, {"samples": True}, {"samples": -1}, {"samples": 2**63}, {"config": None}, {"config": []}, {"config": 3},
         {"sources": "abc"}, {"evaluation": "abc"}, {"evaluation": [1]},
     ],
     ids=str,
@@ -360,6 +360,27 @@ def test_scales_that_do_not_fit_are_refused(scale: torch.Tensor, tmp_path: Path)
     checkpoint.save(tmp_path / "bad", state, card)
     with pytest.raises(RunError, match="do not fit"):
         open_skill(str(tmp_path / "bad.json"))
+
+
+@pytest.mark.parametrize(
+    "kind", [torch.float8_e4m3fn, torch.complex64, torch.bool, torch.int64], ids=str
+)
+@pytest.mark.parametrize("of", ["rows", "scale", "whole"])
+def test_numbers_of_another_kind_are_refused(kind: torch.dtype, of: str, tmp_path: Path) -> None:
+    """Nothing is computed with them, nor are they rounded to a policy's without a word."""
+    state, card = checkpoint.load(file_of("sitting/sit"))
+    policy = state["policy"]
+    name = next(k for k, v in policy.items() if isinstance(v, dict) == (of != "whole"))
+    held = policy if of == "whole" else policy[name]
+    held[name if of == "whole" else of] = torch.ones(held[name if of == "whole" else of].shape).to(
+        kind
+    )
+    checkpoint.save(tmp_path / "bad", state, card)
+    with pytest.raises(
+        RunError, match=rf"no packed skill: .* {kind}|does not fit .*: {name} differs"
+    ):
+        skills.unpack(open_skill(str(tmp_path / "bad.json")), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from spoiled_runs import spoiled
 from worlds import assert_same_state
 
 from understudy.command.cli import main
@@ -344,6 +345,14 @@ def test_bad_clips_are_one_sentence(overrides: tuple[str, ...], sentence: str) -
     with pytest.raises(UnderstudyError, match=sentence) as error:
         learner(*overrides)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("network", [None, 3, {"code_mean": 3}], ids=str)
+def test_an_auto_encoder_without_its_network_is_refused(
+    network: Any, run: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UnderstudyError, match="is of no pose auto-encoder"):
+        in_task(spoiled(run, tmp_path / "run", network=network))
 
 
 def test_a_run_of_another_kind_is_refused(run: Path, tmp_path: Path) -> None:

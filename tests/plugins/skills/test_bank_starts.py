@@ -85,6 +85,13 @@ def test_fields_may_be_left(plugins: Plugins, tmp_path: Path) -> None:
     assert "hat" not in environment.table.shapes
 
 
+def test_what_is_left_has_to_be_there(plugins: Plugins, tmp_path: Path) -> None:
+    """A word mistyped would have left nothing, and nobody would know."""
+    match = r"^initial_states\.leave names 'hats', which the bank .*some has not got\. Did you mean 'hat'\?$"
+    with pytest.raises(ConfigError, match=match):
+        made(plugins, STATES, tmp_path, "initial_states.leave=[hats]")
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

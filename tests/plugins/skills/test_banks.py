@@ -68,3 +68,18 @@ def test_what_is_no_bank(tmp_path: Path, state: dict[str, Any]) -> None:
     checkpoint.save(tmp_path / "bank", state, {})
     with pytest.raises(FileError, match="is no bank of states"):
         bank.load(tmp_path / "bank")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        torch.full((4, 2), torch.nan), torch.tensor([[0.0], [1.0], [2.0], [torch.inf]]),
+        *(torch.zeros(4, 2).to(kind) for kind in (torch.complex64, torch.float8_e4m3fn, torch.uint16)),
+    ],
+    ids=["nan", "inf", "complex", "float8", "uint16"],
+)  # fmt: skip
+def test_numbers_that_no_state_has_are_refused(tmp_path: Path, value: torch.Tensor) -> None:
+    """Before, episodes began there: some failed at once, and a complex number lost a part."""
+    bank.save(tmp_path / "bank", {**STATES, "qvel": value}, {})
+    with pytest.raises(FileError, match=r"^The bank .*bank is damaged: 'qvel' has numbers"):
+        bank.load(tmp_path / "bank")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -332,6 +333,38 @@ def test_evolved_states_of_another_run(
     assert counts.min() > 0.7 * WORLDS / len(known)  # … and all are drawn alike
     row = int((known == found["motion_start"][7]).nonzero()[0, 0])
     assert torch.equal(found["qpos"][7], buffer["qpos"].flatten(0, 1)[row])
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda b: {**b, "qpos": b["qpos"][:, :-1]},
+        lambda b: {**b, "qpos": b["qpos"].bool()},
+        lambda b: {**b, "qvel": b["qvel"] * torch.nan},
+        lambda b: {**b, "motion_start": b["motion_start"].flatten()},
+    ],
+)  # fmt: skip
+def test_evolved_states_that_are_damaged_are_refused(
+    spoil: Callable[[dict[str, Tensor]], Any], context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = Evolution(Evolution.Options(segments=SEGMENTS, size=8), context).state_dict()
+    state = {"environment": {"initial_states": {**own, "buffer": spoil(own["buffer"])}}}
+    monkeypatch.setattr(initial_states, "newest_state", lambda run: state)
+    with pytest.raises(RunError, match="The initial states of runs/it are damaged"):
+        Evolved(Evolved.Options(run="runs/it"), context)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [{"environment": 3}, {"environment": {"initial_states": {"buffer": {"qpos": 3}}}}],
+    ids=str,
+)
+def test_a_checkpoint_without_environment_is_refused(
+    state: Any, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(initial_states, "newest_state", lambda run: state)
+    with pytest.raises(RunError, match="initial_states=spacetime/evolution"):
+        Evolved(Evolved.Options(run="runs/it"), context)
 
 
 def test_a_run_that_does_not_evolve_is_refused(

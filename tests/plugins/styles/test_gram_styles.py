@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from spoiled_runs import spoiled
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
@@ -52,6 +53,15 @@ def context() -> Context:
 def scene_of(context: Context) -> CharacterScene:
     assert isinstance(context.scene, CharacterScene)
     return context.scene
+
+
+@pytest.mark.parametrize("network", [None, 3, {}], ids=str)
+def test_an_auto_encoder_without_its_network_is_refused(
+    network: object, trained: Path, context: Context, tmp_path: Path
+) -> None:
+    run = spoiled(trained, tmp_path / "run", network=network)
+    with pytest.raises(RunError, match=r"The auto-encoder of .* 'network"):
+        trained_network(str(run), scene_of(context), installed().registry)
 
 
 @torch.no_grad()

@@ -41,8 +41,13 @@ def test_a_chain_trains_what_others_build_on_first() -> None:
     assert third is not None
     assert third.overrides == ("run='runs/a~2'", "runs=['runs/a~2','runs/b']")
     assert [row["status"] for row in again.summary()] == ["ok", "ok", "not begun"]
-    with pytest.raises(ConfigError, match="had other overrides"):
+    assert again.missing == ["c"]
+    with pytest.raises(ConfigError, match=r"had other overrides when this sweep began: x=1\. Give"):
         Chain(Chain.Options({"a": ("x=3",)}), seed=0).recall(first)
+    with pytest.raises(
+        ConfigError, match=r"had other overrides when this sweep began: none\. Give"
+    ):
+        Chain(Chain.Options({"a": ("x=3",)}), seed=0).recall(Trial("a", variant="a"))
 
 
 def test_a_chain_names_only_stages_before() -> None:

@@ -48,6 +48,13 @@ def test_runs_that_differ_in_the_seed_alone_are_one_variant(tmp_path: Path) -> N
     assert [(v.name, len(v.results)) for v in variants] == [("a0", 3), ("b0", 3)]
 
 
+@pytest.mark.parametrize("seed", [[], {}, [[1]], "x", None], ids=str)
+def test_a_seed_that_is_none_is_compared_as_it_stands(seed: Any, tmp_path: Path) -> None:
+    strange = make(tmp_path / "strange", seed)
+    variants = variants_among([open_run(strange), open_run(make(tmp_path / "other", 1))])
+    assert [v.name for v in variants] == ["strange", "other"]
+
+
 def test_two_seeds_alone_are_compared_with_each_other(tmp_path: Path) -> None:
     paths = [make(tmp_path / "x/run", 1), make(tmp_path / "y/run", 2)]
     variants = variants_among([open_run(path) for path in paths])

@@ -64,6 +64,28 @@ def test_a_folder_within_another_moves_as_a_whole(tmp_path: Path) -> None:
     assert asked == Trial("c", ("x=there/b/ends",))
 
 
+def test_reports_of_what_was_not_asked_for_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The row that asked for `b` was damaged, and that for `c` stands there twice: what a loop is told of, it knows."""
+    path = tmp_path / "journal.jsonl"
+    journal = Journal.open(path)
+    for event in (
+        Trial("a"),
+        Report("a", "ok"),
+        Trial("b"),
+        Report("b", "running"),
+        Report("b", "ok"),
+        Trial("c"),
+    ):
+        (journal.ask if isinstance(event, Trial) else journal.tell)(event)  # type: ignore[operator]
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join([*rows[:2], rows[2][:20] + rows[2][25:], *rows[3:], rows[5]]) + "\n")
+    assert Journal.open(path).events == [Trial("a"), Report("a", "ok"), Trial("c")]
+    assert "4 rows are damaged" in capsys.readouterr().err
+    assert Journal.open(path).events == [Trial("a"), Report("a", "ok"), Trial("c")]
+
+
 def test_a_journal_that_has_not_moved_is_not_written(tmp_path: Path) -> None:
     measures = {"f": math.nan}
     events = Report("a", "ok", math.nan, measures, run="there/a"), Report("b", "failed"), ASKED

@@ -748,6 +748,66 @@ def test_a_policy_that_is_gone_is_learned_again(
     )  # each sweep is told once
 
 
+@pytest.mark.parametrize(
+    "of", ["objective", "success_rate", "samples", "seconds", "return", "at", "metrics/reward"]
+)
+def test_what_published_numbers_are_of_is_known(of: str) -> None:
+    module._check_paper({"caption": "", "of": of, "values": {"slow": 1.0}}, {"at"})
+
+
+def test_published_numbers_of_nothing_are_refused(tmp_path: Path) -> None:
+    """They stood in the table beside a column without values."""
+    paper = "+outer_loop.paper={caption: Table 1, of: att, values: {slow: 1}}"
+    match = r"^outer_loop\.paper\.of=att is no figure of these trials\. Did you mean 'at'\?$"
+    with pytest.raises(ConfigError, match=match):
+        sweep(tmp_path / "sweep", TWO, paper.removeprefix("+"))
+    assert not (tmp_path / "sweep").exists()
+
+
+def test_a_sweep_that_gave_nothing_does_not_end_well(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a script looks at is the status: 0 for a chain of which a stage failed would let it go on without it."""
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    chain = [*base, "outer_loop=chain", f"run.dir={tmp_path / 'chain'}"]
+    stages = "outer_loop.stages={first: [], second: ['start.run=nowhere'], third: [\"start.run='{second}'\"]}"
+    assert module.sweep([*chain, stages]) == 1
+    said = capsys.readouterr().err
+    assert "second: failed: nowhere is no run folder" in said
+    assert said.endswith("Not done: second, third. The same command tries again.\n")
+    grid = [
+        "outer_loop.variants={bad: ['start.run=nowhere'], good: []}",
+        f"run.dir={tmp_path / 'grid'}",
+    ]
+    assert module.sweep([*BASE, *grid]) == 0, "a variant that failed is a finding"
+    grid = ["outer_loop.variants={bad: ['start.run=nowhere']}", f"run.dir={tmp_path / 'none'}"]
+    assert module.sweep([*BASE, *grid]) == 1
+
+
+def test_a_stage_whose_run_is_gone_is_trained_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`third` builds on `second`, and that on `first`; what these gave stays as it was."""
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    two = "first: [], second: [\"start.run='{first}'\"]"
+
+    def chain(stages: str) -> None:
+        words = ["outer_loop=chain", f"outer_loop.stages={{{stages}}}", f"run.dir={tmp_path}"]
+        module.sweep([*base, *words])
+
+    chain(two)
+    before, names = events(tmp_path), ("first", "second")
+    weights = [runs.newest_state(str(tmp_path / name))["policy"]["push"] for name in names]
+    for name in names:
+        shutil.rmtree(tmp_path / name)
+    capsys.readouterr()
+    chain(f"{two}, third: [\"start.run='{{second}}'\"]")
+    assert "failed" not in capsys.readouterr().out
+    assert events(tmp_path)[: len(before)] == before
+    assert {key for _, key, _ in events(tmp_path)[len(before) :]} == {"third"}
+    assert [runs.newest_state(str(tmp_path / name))["policy"]["push"] for name in names] == weights
+
+
 def test_a_policy_that_is_gone_and_cannot_be_learned_again(
     tmp_path: Path, scripted: Any, monkeypatch: Any
 ) -> None:
@@ -760,7 +820,7 @@ def test_a_policy_that_is_gone_and_cannot_be_learned_again(
         file.unlink()
     monkeypatch.setattr(scripted, "trials", [first, Trial("b", start={"trial": "a"})])
     with pytest.raises(
-        RunError, match="'a', with whose policy another begins, is gone, and it could not"
+        RunError, match="'a', on which another builds, is gone, and it could not be trained again"
     ):
         script(tmp_path / "sweep")
     assert [event for event, key, _ in events(tmp_path / "sweep") if key == "a"][-1] == "finished"

@@ -104,8 +104,10 @@ def _file(name: str | None, file: str | None, registry: Registry) -> Path:
     known = _files(tuple(s for reader in readers(registry).values() for s in reader.suffixes))
     if name in known:
         return known[name]
+    wrong = os.environ.get(DATA_VARIABLE)
+    wrong = f" {DATA_VARIABLE}={wrong} is no folder." if wrong and data_folder() is None else ""
     raise FileError(
-        f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *known})} Clip files "
+        f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *known})}{wrong} Clip files "
         f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions and in motions, where "
         "`understudy motion fetch` puts published ones."
     )

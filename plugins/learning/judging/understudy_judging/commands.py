@@ -47,6 +47,10 @@ _FORMS = {
 }
 #: Keys that say where a run is judged, not what of it.
 _WHERE = ("device", "num_worlds", "simulator.threads")
+#: Keys that are a training's alone: no judgement is another one by them.
+_OF_TRAININGS = re.compile(
+    r"[+~]*(run\.dir|start|budget|checkpoint\.\w+|outer_loop|executor)(?=[.=]|$)"
+)
 #: Of a run folder: where what was drawn otherwise is.
 RENDERS = "renders"
 
@@ -208,6 +212,14 @@ def load(
 
     Words are overrides; those of `short` set what the run recorded and nothing else.
     """
+    for word in words:
+        if _OF_TRAININGS.match(word):
+            own_folder = (
+                " What is judged otherwise lies in the run's folder." if "run.dir" in word else ""
+            )
+            raise ConfigError(
+                f"{word} changes a training, and nothing of a judgement: leave it out.{own_folder}"
+            )
     run = runs.open_run(run_folder(path))
     given = {key: value for key, _, value in (word.partition("=") for word in words)}
     own = {key: given[key] for key in (*short, "checkpoint") if key in given}

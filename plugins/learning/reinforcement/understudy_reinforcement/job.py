@@ -296,7 +296,25 @@ class Reinforcement(Job):
             "has what else a network may read."
             for name in unread
         ]
+        difficulty = self.experiment.root.difficulty
+        if difficulty != 1.0 and not self.has_difficulty():
+            missed.append(
+                f"difficulty={difficulty:g} changes nothing: no part of this task reads it."
+            )
         return [f"The policy reads {', '.join(seen) or 'no observation'}.", *missed]
+
+    def has_difficulty(self) -> bool:
+        """Whether the task has some: a part reads the field ``difficulty``, or the curriculum itself makes more of it, such
+        as a time limit, a parameter of the simulator, how long decisions last."""
+        environment = self.environment
+        curriculum = environment.parts.curriculum
+        if curriculum is not None and (
+            curriculum.decision() is not None or bool(set(curriculum.provides) - {"difficulty"})
+        ):
+            return True
+        read = {name for _, names in environment.readers() for name in names}
+        read.update(environment.parts.initial_states.reads)
+        return not read.isdisjoint(("difficulty", "previous_difficulty"))
 
     def report(self) -> Mapping[str, int]:
         return self.environment.parts.simulator.report()

@@ -31,6 +31,12 @@ class StartOptions:
     run: str  #: folder of the other run
     parts: tuple[Part, ...] = ("actor", "critic", "normaliser")  #: what is taken over
 
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ValueError(
+                "parts=[] is not possible: name what is taken over, or leave start out."
+            )
+
 
 def section(options: StartOptions, registry: Registry, inputs: Inputs) -> StartOptions:
     """As it is: what it names is read when a training begins, and only by the job."""
@@ -75,7 +81,8 @@ def take_over(
             f"--unpack runs/{start.run.replace('/', '-')}` makes one of it."
         )
     state = newest_state(start.run)
-    given: Mapping[str, Tensor] = state.get("policy", {})
+    found = state.get("policy", {})
+    given: Mapping[str, Tensor] = found if isinstance(found, Mapping) else {}
     own = dict(policy.state_dict())
     entries = policy_parts(policy)
     for part in start.parts:

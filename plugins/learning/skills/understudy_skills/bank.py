@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, FileError, RunError
+from understudy.errors import ConfigError, FileError, RunError, suggestion
 from understudy.records import checkpoint
 from understudy.task import Context, Scene
 
@@ -19,6 +19,8 @@ __all__ = ["NAME", "files", "fitting", "load", "save", "starts"]
 NAME = "bank"
 #: One of so many states is for evaluations alone.
 HELD_OUT = 5
+#: Of what harvests keep; of others a simulator or a term would make something without a word.
+_KINDS = (torch.float32, torch.float64, torch.int32, torch.int64, torch.bool)
 
 
 def save(
@@ -54,11 +56,16 @@ def fitting(
     Raises
     ------
     ConfigError
-        if it says that a field is of another thing than the task's: a garment, a body.
+        if it says that a field is of another thing than the task's: a garment, a body; or lacks one of `leave`.
     FileError
         as :func:`load` does.
     """
     states, of = _read(context.inputs.file(f"bank {path}", lambda: files(path)))
+    for name in leave:
+        if name not in states:
+            raise ConfigError(
+                f"{what}.leave names '{name}', which the bank {path} has not got.{suggestion(name, states)}"
+            )
     states = {name: value for name, value in states.items() if name not in leave}
     for name, own in (context.scene.identity() if context.scene else {}).items():
         if name in states and of.get(name, own) != own:
@@ -96,6 +103,12 @@ def _read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     lengths = {len(v) if v.dim() else 0 for v in states.values()}
     if len(lengths) != 1 or 0 in lengths:
         raise FileError(f"The bank {path} has no states, or not equally many of each field.")
+    for name, value in states.items():
+        if value.dtype not in _KINDS or not bool(value.isfinite().all()):
+            raise FileError(
+                f"The bank {path} is damaged: '{name}' has numbers that are not finite, or of a kind that no state has "
+                f"({value.dtype}). Harvest it again."
+            )
     made = about.get("bank")
     of = made.get("of", {}) if isinstance(made, dict) else {}
     if not isinstance(of, dict) or not all(isinstance(text, str) for text in of.values()):

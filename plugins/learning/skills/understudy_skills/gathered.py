@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, suggestion
+from understudy.command.command import tell
+from understudy.errors import ConfigError, RunError, TrainingError, suggestion
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.jobs import Job
@@ -39,8 +40,18 @@ class Gathered:
         return self.count >= self._wanted
 
     def add(self, new: Mapping[str, Tensor]) -> None:
-        """What an iteration found, of each field (S', …); S' may be 0."""
-        found = len(next(iter(new.values())))
+        """What an iteration found, of each field (S', …); S' may be 0.
+
+        Raises
+        ------
+        RunError
+            what a checkpoint had found is not of the same fields.
+        """
+        found, kind = len(next(iter(new.values()))), _kinds(new)
+        if self._states and _kinds(self._states) != kind:
+            raise RunError(
+                f"The states of the checkpoint are none of this task: they have {_kinds(self._states)}, not {kind}."
+            )
         self.barren = 0 if found else self.barren + 1
         self._states = {
             name: torch.cat([self._states[name], value]) if self._states else value
@@ -57,16 +68,40 @@ class Gathered:
         return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
 
     def save(self, run: Run, about: Mapping[str, Any], scene: Scene | None) -> None:
-        """Leave them, states of `scene`, if there are any, as the bank of `run`."""
-        if self.count:
-            states = {name: value[: self._wanted] for name, value in self._states.items()}
-            bank.save(run.path / bank.NAME, states, about, scene)
+        """Leave them, states of `scene`, as the bank of `run`.
+
+        Raises
+        ------
+        TrainingError
+            there are none: a run that ends well has a bank.
+        """
+        more = f"understudy resume {run.path} budget.samples=N goes on"
+        if not self.count:
+            raise TrainingError(
+                f"No state was found before the budget was spent, so there is no bank: {more}."
+            )
+        if not self.enough:
+            tell(
+                f"The budget was spent at {self.count} of {self._wanted} states, which the bank has: {more}."
+            )
+        states = {name: value[: self._wanted] for name, value in self._states.items()}
+        bank.save(run.path / bank.NAME, states, about, scene)
 
     def state_dict(self) -> State:
         return {"found": dict(self._states), "barren": self.barren}
 
     def load_state_dict(self, state: State) -> None:
-        self._states, self.barren = dict(state["found"]), state["barren"]
+        found, barren = dict(state["found"]), state["barren"]
+        if not all(isinstance(value, Tensor) and value.dim() for value in found.values()):
+            raise ValueError("'found' are no states")
+        if len({len(value) for value in found.values()}) > 1 or type(barren) is not int:
+            raise ValueError("'found' are not equally many of each field")
+        self._states, self.barren = found, barren
+
+
+def _kinds(states: Mapping[str, Tensor]) -> dict[str, tuple[Any, ...]]:
+    """Of each field, what all of its states have in common."""
+    return {name: (*value.shape[1:], str(value.dtype)) for name, value in states.items()}
 
 
 class Gathering(Job):

@@ -10,10 +10,11 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, TrainingError, suggestion
+from understudy.errors import ConfigError, RunError, TrainingError, suggestion
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.records import runs
+from understudy.records.checkpoint import misshapen
 from understudy.records.runs import Run, newest_state
 from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Chosen, Experiment
@@ -104,6 +105,8 @@ class Harvest(Gathering):
         self.options, self._root = options, experiment.root
         self.device = device_of(experiment.root.device)
         self._source = runs.open_run(run_folder(options.run, registry=experiment.registry))
+        if not isinstance(newest_state(str(self._source.path)).get("policy"), Mapping):
+            raise RunError(f"job.run: {options.run} is a run that learns no policy. Name another.")
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
         found = self._source.experiment(
@@ -141,6 +144,10 @@ class Harvest(Gathering):
             load_part(curriculum, state, "curriculum", what)
         environment.reset()
         self.policy = build_policy(self._experiment, built.context)
+        for misfit in misshapen(dict(self.policy.state_dict()), state["policy"], "policy"):
+            raise RunError(
+                f"job.run: {self.options.run} does not fit its own configuration: {misfit}."
+            )
         self.policy.load_state_dict(state["policy"])
         self.policy.schedule(state["progress"]["samples"])
         self._streams = WorldStreams(

@@ -46,6 +46,7 @@ __all__ = [
 #: That a packed weight may have. With 32 nothing is rounded.
 BITS = (8, 16, 32)
 _INTEGERS = {8: torch.int8, 16: torch.int16}
+_SCALES = (torch.float32, torch.float64)
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 #: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
@@ -76,7 +77,7 @@ class Skill:
         needed |= own.keys() - dict(policy.named_parameters()).keys()  # its statistics
         for name in sorted(needed | self.policy.keys()):
             given = self.policy.get(name)
-            if given is None or name not in own or given.shape != own[name].shape:
+            if given is None or name not in own or _kind(given) != _kind(own[name]):
                 raise RunError(
                     f"{self.name} does not fit this configuration: {name} differs. Use the policy and "
                     "the skills that it was trained with."
@@ -171,6 +172,11 @@ def _of_run(
     return Skill(str(path), experiment, policy, samples, card)
 
 
+def _kind(tensor: Tensor) -> tuple[torch.Size, torch.dtype]:
+    """What a tensor of a policy must have in common with the one that it replaces."""
+    return tensor.shape, tensor.dtype
+
+
 def _evaluation(path: Path) -> Any:
     """What the run was judged by as it was trained; none where the last was of something else."""
     try:
@@ -197,7 +203,9 @@ def _packed(
             if not isinstance(card.get(key) or {}, Mapping):
                 raise TypeError(f"{key} is no mapping")
         tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
-        samples = int(card["samples"])
+        samples = card["samples"]
+        if type(samples) is not int or not 0 <= samples < 2**63:
+            raise ValueError(f"samples are {str(samples)[:40]}")
         experiment = validate(_less(card["config"], without), registry)
     except ConfigError:
         raise
@@ -420,4 +428,6 @@ def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:
     rows, scale = value["rows"], value["scale"]
     if rows.ndim != 2 or scale.shape != rows.shape[:1]:
         raise ValueError(f"{tuple(scale.shape)} scales do not fit {tuple(rows.shape)} weights")
+    if rows.dtype not in _INTEGERS.values() or scale.dtype not in _SCALES:
+        raise ValueError(f"weights of {rows.dtype} by scales of {scale.dtype}")
     return rows.float() * scale[:, None]

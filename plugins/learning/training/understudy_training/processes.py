@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from datetime import timedelta
 
@@ -12,10 +13,44 @@ from understudy.errors import ConfigError
 
 __all__ = ["requested"]
 
+#: What torch reads of the environment to join the others.
+_OF_TORCHRUN = ("RANK", "MASTER_ADDR", "MASTER_PORT")
+
 
 def requested() -> int:
-    """How many processes ``torchrun`` started."""
-    return int(os.environ.get("WORLD_SIZE", "1"))
+    """How many processes ``torchrun`` started.
+
+    Raises
+    ------
+    ConfigError
+        what it leaves in the environment is no number, or not all there: somebody else set it.
+    """
+    count = int(_number("WORLD_SIZE", 1, least=1))
+    if count > 1:
+        missing = [name for name in _OF_TORCHRUN if name not in os.environ]
+        if missing:
+            raise ConfigError(
+                f"WORLD_SIZE={count} is in the environment without {', '.join(missing)}, which torchrun sets as well. "
+                "Start with torchrun, or unset WORLD_SIZE."
+            )
+        if _number("RANK", 0, least=0) >= count:
+            raise ConfigError(f"RANK={os.environ['RANK']} is not possible: WORLD_SIZE={count}.")
+    return count
+
+
+def _number(name: str, default: int, *, least: int, kind: type[int | float] = int) -> int | float:
+    """The number in the variable `name` of the environment."""
+    text = os.environ.get(name, str(default))
+    try:
+        number = kind(text)
+    except ValueError:
+        number = math.nan
+    if not least <= number < 2**31:
+        what = "a whole number" if kind is int else "a number"
+        raise ConfigError(
+            f"{name}={text} in the environment is not possible: it takes {what} from {least} on. Unset it."
+        )
+    return number
 
 
 def start(device: str) -> None:
@@ -23,7 +58,7 @@ def start(device: str) -> None:
     if requested() == 1 or dist.is_initialized():
         return
     on_gpu = device.startswith("cuda")
-    local = int(os.environ.get("LOCAL_RANK", "0"))
+    local = int(_number("LOCAL_RANK", 0, least=0))
     if on_gpu:
         if local >= torch.cuda.device_count():
             raise ConfigError(
@@ -31,7 +66,7 @@ def start(device: str) -> None:
                 f"{torch.cuda.device_count()} GPUs. Start one process a GPU (--nproc-per-node)."
             )
         torch.cuda.set_device(local)
-    patience = timedelta(seconds=float(os.environ.get("UNDERSTUDY_PATIENCE", "1800")))
+    patience = timedelta(seconds=_number("UNDERSTUDY_PATIENCE", 1800, least=1, kind=float))
     dist.init_process_group("nccl" if on_gpu else "gloo", timeout=patience)
 
 

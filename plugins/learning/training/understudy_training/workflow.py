@@ -71,13 +71,15 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     experiment = run.experiment()
     processes.start(experiment.root.device)
     leading = distributed.rank() == 0
-    with _together(experiment):
+    with _together(experiment), contextlib.ExitStack() as refused:
+        refused.callback(run.unlock)  # of a program that goes on
         if leading:
             run.lock()
             leave_damaged_rows_out(run)
         reporter = Reporter(message=tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
+        refused.pop_all()
     progress = training.progress
     judged = run.judged() == progress.samples and not training.changed
     if training.ended() and not progress.pending and judged:

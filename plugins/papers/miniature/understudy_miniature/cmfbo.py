@@ -37,6 +37,11 @@ class RandomFidelity(OuterLoop):
             check_range(self, "margin", least=0)
             if set(self.low) != set(self.high) or not self.low:
                 raise ValueError("high is not possible: it must name the same options as low.")
+            for name, low in self.low.items():
+                if not low <= self.high[name]:
+                    raise ValueError(
+                        f"high.{name}={self.high[name]:g} is not possible: it must be at least low.{name}={low:g}."
+                    )
             if not self.fidelities or not all(0 <= f <= 1 for f in self.fidelities):
                 raise ValueError(f"fidelities={self.fidelities} is not possible: give shares of 1.")
 
@@ -78,8 +83,8 @@ class RandomFidelity(OuterLoop):
         return trial
 
     def recall(self, trial: Trial) -> bool:
-        number = int(trial.key.removeprefix("trial"))
-        if trial.point != self._point(number):
+        number = trial.key.removeprefix("trial")
+        if not number.isdecimal() or trial.point != self._point(int(number)):
             raise ConfigError(f"Trial '{trial.key}' was at another point when this search began.")
         self._trials[trial.key] = trial
         return True

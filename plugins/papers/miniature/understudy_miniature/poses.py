@@ -16,6 +16,7 @@ from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
+from understudy.records.checkpoint import misshapen
 from understudy.records.runs import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
@@ -135,5 +136,8 @@ def trained_decoder(run: str, context: Context) -> tuple[nn.Module, int]:
     options: LearnPoses.Options = job.options
     joints = experiment.need("poses").build().joints
     network = AutoEncoder(joints, options.code, options.hidden)
-    network.load_state_dict(newest_state(run)["network"])
+    state: Any = newest_state(run).get("network")
+    for misfit in misshapen(dict(network.state_dict()), state, "network"):
+        raise RunError(f"The auto-encoder of {run} does not fit its own configuration: {misfit}.")
+    network.load_state_dict(state)
     return network.decoder.requires_grad_(False).to(context.device), options.code

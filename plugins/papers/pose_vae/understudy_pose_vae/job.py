@@ -267,9 +267,9 @@ def trained_poses(run: str, context: Context) -> TrainedPoses:
 
 def network_of(state: State, options: LearnPoses.Options, features: PoseFeatures) -> PoseVAE:
     """The network of a checkpoint, which says itself how many numbers a code has."""
-    given: Mapping[str, Tensor] = state.get("network") or {}
-    codes = given.get("code_mean")
-    if codes is None or codes.dim() != 1:
+    given = state.get("network")
+    codes = given.get("code_mean") if isinstance(given, Mapping) else None
+    if not isinstance(given, Mapping) or not isinstance(codes, Tensor) or codes.dim() != 1:
         raise RunError("The checkpoint is of no pose auto-encoder: it has no codes.")
     network = PoseVAE(features.size, len(codes), options.hidden)
     for misfit in misshapen(dict(network.state_dict()), given, "network"):

@@ -3,6 +3,7 @@ begin."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from understudy import distributed
 from understudy.errors import ConfigError, RunError
-from understudy.options import check_range
+from understudy.options import at, check_range
 from understudy.random import WorldStreams
 from understudy.records.checkpoint import misshapen
 from understudy.records.runs import newest_state
@@ -387,10 +388,21 @@ def evolved_states(run: str) -> dict[str, Tensor]:
     RunError
         it is no run whose initial states evolve.
     """
-    buffer = newest_state(run).get("environment", {}).get("initial_states", {}).get("buffer", {})
-    if not {"qpos", "qvel", "motion_start"} <= buffer.keys():
+    buffer = at(newest_state(run), "environment.initial_states.buffer")
+    names = ("qpos", "qvel", "motion_start")
+    if not isinstance(buffer, Mapping) or not all(isinstance(buffer.get(n), Tensor) for n in names):
         raise RunError(
             f"The initial states of {run} do not evolve: train it with "
             "initial_states=spacetime/evolution."
         )
-    return {name: buffer[name] for name in ("qpos", "qvel", "motion_start")}
+    states = {name: buffer[name] for name in names}
+    lead = states["motion_start"].shape
+    if (
+        len(lead) != 2
+        or any(v.dim() < 2 or v.shape[:2] != lead for v in states.values())
+        or not all(v.dtype == torch.float32 and bool(v.isfinite().all()) for v in states.values())
+    ):
+        raise RunError(
+            f"The initial states of {run} are damaged: their numbers do not fit together."
+        )
+    return states

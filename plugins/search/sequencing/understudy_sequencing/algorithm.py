@@ -89,7 +89,7 @@ class Algorithm1(OuterLoop):
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         self._chain = Chain(Chain.Options(stages_of(options), options.each), seed)
-        self.share = 0.0
+        self.share, self.missing = 0.0, self._chain.missing
 
     def ask(self, number: int) -> Trial | None:
         return self._chain.ask(number)
@@ -99,7 +99,7 @@ class Algorithm1(OuterLoop):
 
     def tell(self, report: Report) -> None:
         self._chain.tell(report)
-        self.share = self._chain.share
+        self.share, self.missing = self._chain.share, self._chain.missing
 
     def summary(self) -> list[dict[str, Any]]:
         """A row for each stage: what came of it, and its samples."""

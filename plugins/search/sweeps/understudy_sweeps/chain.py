@@ -59,7 +59,7 @@ class Chain(OuterLoop):
         self._replayed = False
         self._failed: set[str] = set()  #: before this call of the sweep
         self._results: dict[str, Report] = {}
-        self.share = 0.0
+        self.share, self.missing = 0.0, list(self._stages)
 
     def ask(self, number: int) -> Trial | None:
         if not self._replayed:  # all that the journal knew
@@ -92,7 +92,7 @@ class Chain(OuterLoop):
         if known and trial.overrides != self._trial(stage).overrides:
             raise ConfigError(
                 f"Stage '{stage}' had other overrides when this sweep began: "
-                f"{', '.join(trial.overrides)}. Give the new one another name."
+                f"{', '.join(trial.overrides) or 'none'}. Give the new one another name."
             )
         self._tries[stage] = self._tries.get(stage, 0) + 1
         return True
@@ -101,6 +101,7 @@ class Chain(OuterLoop):
         if report.final:
             self._results[_stage_of(report.key)] = report
             self.share = len(self._results) / len(self._stages)
+            self.missing = [stage for stage in self._stages if not self._done(stage)]
 
     def summary(self) -> list[dict[str, Any]]:
         """A row for each stage: what came of it, and its samples."""

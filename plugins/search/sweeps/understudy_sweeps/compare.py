@@ -119,7 +119,7 @@ def variants_among(opened: Sequence[Run]) -> list[Variant]:
     groups: list[tuple[str, list[Run]]] = []
     for run in opened:
         same = json.dumps(_config(run), sort_keys=True, default=str)
-        seeds = {key: {r.config.get("seed") for r in group} for key, group in groups}
+        seeds = {key: [r.config.get("seed") for r in group] for key, group in groups}
         if same in seeds and run.config.get("seed") not in seeds[same]:
             next(group for key, group in groups if key == same).append(run)
         else:

@@ -41,11 +41,25 @@ class Journal:
         """The journal at `path`; a row cut short by a crash, or which another version wrote, is left out: it is kept in a file
         beside, and that is said."""
         journal, lost = cls._of(path)
+        lost += journal._forget_strangers()
         leave_out(path, lost, ": what such a row told of is done again")
         rows = "".join(_row(event) for event in journal.events).encode()
         if not path.exists() or read(path, _MOST) != rows:
             write_atomically(path, rows)
         return journal
+
+    def _forget_strangers(self) -> list[bytes]:
+        """Leave out what follows from no row that is left, of which a loop could make nothing: reports of trials that were
+        not asked for before, and second requests for one; their rows."""
+        known, kept, rows = set[str](), list[Trial | Report](), list[bytes]()
+        for event in self.events:
+            if isinstance(event, Trial) is (event.key in known):
+                rows.append(_row(event).encode())
+            else:
+                kept.append(event)
+            known |= {event.key} if isinstance(event, Trial) else set()
+        self.events = kept
+        return rows
 
     @classmethod
     def read(cls, path: Path) -> Journal:
@@ -132,7 +146,10 @@ class Journal:
 
     def ask(self, trial: Trial) -> None:
         if any(trial.key == other.key for other in self.asked):
-            raise ConfigError(f"The outer loop asks for trial '{trial.key}' twice.")
+            raise ConfigError(
+                f"The outer loop asks for trial '{trial.key}' twice. If rows of {self.path} were left out, mend it by "
+                f"{self.path.name}.left-out; or give run.dir another folder."
+            )
         refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")  # no journal has such
         self._write(trial)
 

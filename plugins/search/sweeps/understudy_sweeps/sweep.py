@@ -33,6 +33,7 @@ from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Executor, OuterLoop, Report, Trial, Work
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
+from understudy_sweeps.results import METRICS, OBJECTIVE, SAMPLES, SECONDS, SUCCESS
 from understudy_sweeps.trial import JUDGED, REFUSED, folder_of, note_stop, overrides_of
 from understudy_training.processes import requested
 
@@ -44,6 +45,11 @@ _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
 
 def sweep(overrides: Sequence[str]) -> int:
     """Run the sweep that `overrides` describe; prints a table, its page and the sweep's folder.
+
+    Returns
+    -------
+    status
+        0, or 1 where no trial gave a result, or the loop could not do all that it was to do.
 
     Raises
     ------
@@ -64,7 +70,8 @@ def sweep(overrides: Sequence[str]) -> int:
     given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
-    _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    known = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    _check_paper(chosen.effective().get("paper"), known)
     executor: Executor = experiment.need("executor").build(work)
     _refuse_other_things(folder)  # before the lock looks through all of it, as of /
     book = runs.Run(_made(folder), {})
@@ -94,7 +101,12 @@ def sweep(overrides: Sequence[str]) -> int:
         if path.exists():  # why not, was said
             print(f"page: {path}")
     print(f"sweep: {folder}")
-    return 0
+    if loop.missing:
+        print(
+            f"Not done: {', '.join(loop.missing)}. The same command tries again.", file=sys.stderr
+        )
+    reports = journal.finished.values()
+    return int(bool(loop.missing) or (bool(reports) and all(r.status != "ok" for r in reports)))
 
 
 @contextmanager
@@ -188,8 +200,8 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
             if report.final:
                 if report.key in talk.again and report.status != "ok":
                     raise RunError(
-                        f"The run of trial '{report.key}', with whose policy another begins, is gone, and it "
-                        f"could not be trained again: {report.status}"
+                        f"The run of trial '{report.key}', on which another builds, is gone, and it could not be trained "
+                        f"again: {report.status}"
                     )
                 running -= 1
                 page.keep_up(journal, talk.loop.summary())
@@ -229,10 +241,11 @@ def _composed(overrides: Sequence[str]) -> Experiment:
         ) from error
 
 
-def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> None:
+def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> set[str]:
     """Refuse a sweep of which a variant cannot be composed, or lacks one of `measures`, before
-    anything runs."""
+    anything runs; the measures of all variants, none where a job may have some of its own."""
     seen: set[str] = set()
+    found: list[set[str]] = []
     for trial in trials:
         if trial is None or (trial.variant or trial.key) in seen:
             continue
@@ -245,21 +258,48 @@ def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) 
             what = f"Variant '{trial.variant}'" if trial.variant else f"Trial '{trial.key}'"
             raise ConfigError(f"{what} cannot be run: {error}") from error
         known = {c.name for c in experiment.many("measure")}
+        found.append(known if experiment.one("job") is None else set())
         for name in measures if known else ():  # else the job may have some of its own
             if name not in known | {"return", "success_rate"}:
                 raise ConfigError(
                     f"outer_loop needs the measure '{name}', which trials have not got."
                     f"{suggestion(name, known)}"
                 )
+    return set().union(*found) if all(found) else set()
+
+
+def _check_paper(paper: Mapping[str, Any] | None, measures: set[str]) -> None:
+    """Refuse published numbers `of` what no table of variants that have `measures` shows."""
+    of, known = (
+        (paper or {}).get("of", OBJECTIVE),
+        {OBJECTIVE, SUCCESS, SAMPLES, SECONDS, *measures},
+    )
+    if measures and of not in {*known, "return"} and not of.startswith(METRICS):
+        raise ConfigError(
+            f"outer_loop.paper.of={of} is no figure of these trials.{suggestion(of, known)}"
+        )
 
 
 def _first(trial: Trial, journal: Journal, folder: Path) -> Trial:
-    """The trial; or the finished one that has to be trained again before, since it begins with the
-    policy of a run that is gone, as where a journal alone was kept."""
-    earlier = (trial.start or {}).get("trial")
-    if earlier not in journal.finished or (folder_of(earlier, folder) / JUDGED).exists():
-        return trial
-    return _first(next(t for t in journal.asked if t.key == earlier), journal, folder)
+    """The trial; or the finished one that has to be trained again before, since it builds on a run that is gone, as where
+    a journal alone was kept."""
+    for earlier in _built_on(trial, journal, folder):
+        if not (folder_of(earlier, folder) / JUDGED).exists():
+            return _first(next(t for t in journal.asked if t.key == earlier), journal, folder)
+    return trial
+
+
+def _built_on(trial: Trial, journal: Journal, folder: Path) -> Iterator[str]:
+    """The finished trials that `trial` takes something from: with whose policy it begins, or whose run folders its
+    overrides name."""
+    start = (trial.start or {}).get("trial")
+    for key, report in journal.finished.items():
+        run = re.escape(str(folder_of(key, folder)))
+        named = re.compile(rf"(?<![\w./~-]){run}(?![\w.~%-])")
+        if key == start or (
+            report.status == "ok" and key != trial.key and any(map(named.search, trial.overrides))
+        ):
+            yield key
 
 
 def _placed(trial: Trial, journal: Journal, folder: Path) -> Trial:

@@ -193,11 +193,14 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
     reporter = Reporter(message=tell, observers=[Lines(tell)])
     if (path / "run.json").exists():
         run = runs.open_run(path)
-        run.lock()
-        leave_damaged_rows_out(run)
-        experiment = run.experiment(config=_config_here(run))
-        training = Training(experiment, reporter).prepare().attach(run)
-        training.resume()
+        with contextlib.ExitStack() as refused:
+            refused.callback(run.unlock)
+            run.lock()
+            leave_damaged_rows_out(run)
+            experiment = run.experiment(config=_config_here(run))
+            training = Training(experiment, reporter).prepare().attach(run)
+            training.resume()
+            refused.pop_all()
         return training
     overrides = overrides_of(trial, work)
     experiment = load_experiment(overrides)
@@ -221,21 +224,8 @@ def _config_here(run: Run) -> Mapping[str, Any]:
 
 
 def _check_difficulty(training: Training) -> None:
-    """Refuse a trial that is asked for at some difficulty of a task that has none.
-
-    It has one if a part reads the field ``difficulty``, or the curriculum itself makes more of it: a
-    time limit, a parameter of the simulator, how long decisions last.
-    """
-    if not isinstance(training.job, Reinforcement):
-        return
-    environment = training.job.environment
-    curriculum = environment.parts.curriculum
-    more = curriculum is not None and (
-        curriculum.decision() is not None or bool(set(curriculum.provides) - {"difficulty"})
-    )
-    read = {name for _, names in environment.readers() for name in names}
-    read.update(environment.parts.initial_states.reads)
-    if not more and read.isdisjoint(("difficulty", "previous_difficulty")):
+    """Refuse a trial that is asked for at some difficulty of a task that has none."""
+    if isinstance(training.job, Reinforcement) and not training.job.has_difficulty():
         raise _Refused(
             "Nothing in this task reads `difficulty`, so trials at a low one would be neither easier "
             "nor cheaper, and tell nothing. Choose an experiment whose parts read it, a search of whole "

@@ -1,0 +1,28 @@
+"""Words that follow `understudy evaluate RUN`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from understudy.command.cli import main
+
+
+@pytest.mark.parametrize("command", ["evaluate", "render"])
+@pytest.mark.parametrize(
+    "word",
+    ["run.dir=elsewhere", "+run.dir=elsewhere", "start.run=x", "start={run: x}", "~start", "budget.samples=3",
+     "checkpoint.keep=3", "outer_loop=grid", "executor.workers=2"],
+)  # fmt: skip
+def test_what_changes_trainings_alone_is_refused(
+    word: str, command: str, built_on: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was taken, and made no difference: run.dir wrote nothing there."""
+    before = sorted((built_on / "go").rglob("*"))
+    assert main([command, str(built_on / "go"), word]) == 2
+    assert (
+        f"{word} changes a training, and nothing of a judgement: leave it out."
+        in capsys.readouterr().err
+    )
+    assert sorted((built_on / "go").rglob("*")) == before
