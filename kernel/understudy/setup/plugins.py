@@ -9,6 +9,7 @@ loaded exactly like a stranger's.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterable
@@ -79,7 +80,7 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     result = Plugins()
     about = functools.cache(_about)  # many plugins are of one distribution
     found = sorted(
-        metadata.entry_points(group=GROUP),
+        _entries(),
         key=lambda e: (about(e.dist)[0] != "understudy", e.name, about(e.dist)[0]),
     )
     there = {entry.name for entry in found}
@@ -109,9 +110,28 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     return result
 
 
+def _entries() -> list[metadata.EntryPoint]:
+    """Where plugins are, or a PluginError that names the package which nobody, torch neither, can ask."""
+    found: list[metadata.EntryPoint] = []
+    with contextlib.suppress(Exception):
+        return [*metadata.entry_points(group=GROUP)]
+    for one in metadata.distributions():
+        try:
+            found += one.entry_points.select(group=GROUP)
+        except Exception as error:
+            name, where = _about(one)[0] or "a package", one.locate_file("")
+            raise PluginError(
+                f"The entry points of {name} in {where} cannot be read ({said(error)}), and nothing "
+                "that has plugins works beside it. Install it anew, or remove it."
+            ) from error
+    return found
+
+
 def _about(distribution: metadata.Distribution | None) -> tuple[str, str]:
     """Name and version, empty where its metadata are damaged."""
-    return (distribution.name or "", distribution.version or "") if distribution else ("", "")
+    with contextlib.suppress(Exception):
+        return (distribution.name or "", distribution.version or "") if distribution else ("", "")
+    return "", ""
 
 
 def _names(variable: str, there: set[str]) -> set[str]:
