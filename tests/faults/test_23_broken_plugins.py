@@ -636,15 +636,3 @@ def test_a_package_whose_entry_points_cannot_be_read_is_named(
         assert told in capsys.readouterr().err
     finally:
         plugins_module.installed.cache_clear()
-
-
-def test_damaged_metadata_of_a_plugins_package_are_no_matter(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    info = tmp_path / "stranger-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_bytes(b"\xff\xfe")
-    (info / "entry_points.txt").write_text("[understudy]\nstranger = stranger_of_no_name\n")
-    (tmp_path / "stranger_of_no_name.py").write_text("")
-    monkeypatch.syspath_prepend(tmp_path)
-    assert status(load(only=["stranger"])) == "ok"

@@ -119,9 +119,8 @@ class Training:
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
             counts = {n: progress[n] for n, own in vars(Progress()).items() if type(own) is int}
-            least = {"evaluated_at": -math.inf}  # which a job sets back, also before the beginning
-            bad = [n for n, c in counts.items() if type(c) is not int or c < least.get(n, 0)]
-            if wrong := [f"{n}={counts[n]}" for n in bad]:
+            counts["evaluated_at"] = abs(counts["evaluated_at"])  # set back, also before the start
+            if wrong := [f"{n}={c}" for n, c in counts.items() if type(c) is not int or c < 0]:
                 raise ValueError(f"'progress' cannot be {wrong[0]}")
             load(state)
             self.progress = Progress(**progress)

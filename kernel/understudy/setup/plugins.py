@@ -9,7 +9,6 @@ loaded exactly like a stranger's.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterable
@@ -110,28 +109,20 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     return result
 
 
-def _entries() -> list[metadata.EntryPoint]:
-    """Where plugins are, or a PluginError that names the package which nobody, torch neither, can ask."""
-    found: list[metadata.EntryPoint] = []
-    with contextlib.suppress(Exception):
-        return [*metadata.entry_points(group=GROUP)]
-    for one in metadata.distributions():
-        try:
-            found += one.entry_points.select(group=GROUP)
-        except Exception as error:
-            name, where = _about(one)[0] or "a package", one.locate_file("")
-            raise PluginError(
-                f"The entry points of {name} in {where} cannot be read ({said(error)}), and nothing "
-                "that has plugins works beside it. Install it anew, or remove it."
-            ) from error
-    return found
+def _entries(one: metadata.Distribution | None = None) -> Iterable[metadata.EntryPoint]:
+    """Where plugins are; a PluginError names the package that nobody, torch neither, can ask."""
+    try:
+        return one.entry_points if one else metadata.entry_points(group=GROUP)
+    except Exception as error:
+        whose = f"{one.name} in {one.locate_file('')}" if one else ""
+        whose = whose or f"one of {len([*map(_entries, metadata.distributions())])} packages"
+        why = f"The entry points of {whose} cannot be read ({said(error)}), so that nothing with plugins"
+        raise PluginError(f"{why} works beside it. Install it anew, or remove it.") from error
 
 
 def _about(distribution: metadata.Distribution | None) -> tuple[str, str]:
     """Name and version, empty where its metadata are damaged."""
-    with contextlib.suppress(Exception):
-        return (distribution.name or "", distribution.version or "") if distribution else ("", "")
-    return "", ""
+    return (distribution.name or "", distribution.version or "") if distribution else ("", "")
 
 
 def _names(variable: str, there: set[str]) -> set[str]:
