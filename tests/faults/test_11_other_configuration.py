@@ -12,6 +12,7 @@ from worlds import SMALL, assert_same_state, make_training, resumed
 from understudy.command.cli import main
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
+from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_training import workflow
@@ -166,3 +167,28 @@ def test_a_checkpoint_of_format_1_is_refused_in_one_sentence(run: Path) -> None:
         match=r"checkpoint format 1, and this understudy reads 3\. Use .*, or train anew\.$",
     ):
         checkpoint.load(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["seed=4"], "seed=4 is another run's: {run} was begun with seed 0"),
+        (["seed=4", "budget.samples=99"], "Give `understudy train` seed=4, with start.run={run}"),
+        (["run.dir=elsewhere"], "run.dir=elsewhere is another run's folder: {run} goes on where"),
+    ],
+)
+def test_another_seed_or_folder_is_another_run(
+    plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    words: list[str], message: str,
+) -> None:  # fmt: skip
+    """The folder then said seed 4 of weights that were mostly trained with seed 0; run.dir was passed over."""
+    monkeypatch.setattr(workflow, "compose_raw", lambda overrides: compose_raw(overrides, plugins))
+    monkeypatch.setattr(workflow, "installed", lambda: plugins)
+    composed = runs.Run.experiment
+    monkeypatch.setattr(runs.Run, "experiment", lambda of: composed(of, plugins.registry))
+    monkeypatch.setattr(workflow, "_carry_out", lambda training: training.close() or 0)
+    assert main(["resume", str(run), "seed=0", f"run.dir={run}"]) == 0
+    before = (run / "run.json").read_bytes()
+    assert main(["resume", str(run), *words]) == 2
+    assert message.format(run=run) in capsys.readouterr().err
+    assert (run / "run.json").read_bytes() == before

@@ -618,3 +618,21 @@ def test_observers_that_are_none(
         in capsys.readouterr().err
     )
     assert (tmp_path / "run/report.html").exists()  # which another's observer makes
+
+
+def test_a_package_whose_entry_points_cannot_be_read_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every command ended in a traceback that named no package."""
+    info = tmp_path / "stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: stranger\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_bytes(b"\xff\xfe")
+    monkeypatch.syspath_prepend(tmp_path)
+    plugins_module.installed.cache_clear()
+    try:
+        assert main(["plugins"]) == 2
+        told = f"The entry points of stranger in {tmp_path} cannot be read (UnicodeDecodeError"
+        assert told in capsys.readouterr().err
+    finally:
+        plugins_module.installed.cache_clear()

@@ -119,6 +119,7 @@ class Training:
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
             counts = {n: progress[n] for n, own in vars(Progress()).items() if type(own) is int}
+            counts["evaluated_at"] = abs(counts["evaluated_at"])  # set back, also before the start
             if wrong := [f"{n}={c}" for n, c in counts.items() if type(c) is not int or c < 0]:
                 raise ValueError(f"'progress' cannot be {wrong[0]}")
             load(state)

@@ -79,7 +79,7 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     result = Plugins()
     about = functools.cache(_about)  # many plugins are of one distribution
     found = sorted(
-        metadata.entry_points(group=GROUP),
+        _entries(),
         key=lambda e: (about(e.dist)[0] != "understudy", e.name, about(e.dist)[0]),
     )
     there = {entry.name for entry in found}
@@ -107,6 +107,17 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         result.loaded.remove(plugin)
         _isolate(result, plugin, faults[plugin.name])
     return result
+
+
+def _entries(one: metadata.Distribution | None = None) -> Iterable[metadata.EntryPoint]:
+    """Where plugins are; a PluginError names the package that nobody, torch neither, can ask."""
+    try:
+        return one.entry_points if one else metadata.entry_points(group=GROUP)
+    except Exception as error:
+        whose = f"{one.name} in {one.locate_file('')}" if one else ""
+        whose = whose or f"one of {len([*map(_entries, metadata.distributions())])} packages"
+        why = f"The entry points of {whose} cannot be read ({said(error)}), so that nothing with plugins"
+        raise PluginError(f"{why} works beside it. Install it anew, or remove it.") from error
 
 
 def _about(distribution: metadata.Distribution | None) -> tuple[str, str]:

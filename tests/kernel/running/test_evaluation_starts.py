@@ -107,6 +107,12 @@ def test_episodes_that_begin_alike_tell_as_much_as_one() -> None:
     assert "the 6 episodes began in the same state" in found.sentence()
 
 
+def test_starts_beside_that_are_alike_tell_as_much_as_one() -> None:
+    """The interval of their share was that of as many as there are worlds."""
+    found = evaluated(*STARTS).measures["success_from_near"]
+    assert (found.low, found.high) == pytest.approx(wilson_interval(1.0, 1))
+
+
 def test_different_starts_are_counted() -> None:
     plugins = line_plugins(
         initial_states={"my/at": At, "my/apart": Apart}, termination={"my/beyond": beyond}

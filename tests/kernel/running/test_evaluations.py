@@ -45,6 +45,19 @@ def test_reductions(reduce: Reduction, expected: list[float], short: list[float]
         assert reducer.result().tolist() == pytest.approx(result)
 
 
+@pytest.mark.parametrize("kind", [torch.bool, torch.int64, torch.float32])
+def test_what_is_no_number_is_not_true_of_any_step(kind: torch.dtype) -> None:
+    """As the least of numbers, of which one is none, is none."""
+    reducer = Reducer("any", 3, torch.device("cpu"))
+    reducer.start()
+    for row in ([0, 1, 0], [0, 0, 0]):
+        reducer.digest(torch.tensor(row).to(kind), torch.tensor([True] * 3))
+    assert reducer.result().tolist() == [0, 1, 0]
+    reducer.digest(torch.tensor([math.nan, 0.0, 0.0]), torch.tensor([True] * 3))
+    assert reducer.result()[0].isnan()
+    assert reducer.result()[1:].tolist() == [1, 0]
+
+
 def test_measured() -> None:
     values = [1.0, 2.0, 4.0, 9.0]
     found = Measured.of("last", torch.tensor([*values, math.inf]))

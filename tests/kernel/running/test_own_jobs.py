@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -280,8 +281,10 @@ def test_the_checkpoint_of_another_job(tmp_path: Path) -> None:
         resumed(plugins(), tmp_path / "run")
 
 
-@pytest.mark.parametrize("name", ["iteration", "samples", "evaluated_at", "evaluations"])
-@pytest.mark.parametrize("count", [-1, 1.5])
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [*itertools.product(["iteration", "samples", "evaluations"], [-1, 1.5]), ("evaluated_at", 1.5)],
+)
 def test_a_checkpoint_that_counts_what_cannot_be(name: str, count: float, tmp_path: Path) -> None:
     """Half an iteration had no file name once the next checkpoint was due."""
     training = make_training(plugins(), TASK, tmp_path / "run")

@@ -273,10 +273,12 @@ def test_a_nested_include_may_go_up_within_the_models_folder(tmp_path: Path) -> 
         ("<mujoco><include file=''/></mujoco>", "an <include> names no file"),
         ("<mujoco><asset><mesh name='m' file=''/></asset></mujoco>", "a mesh or texture names no file"),
         ("<mujoco><include file='xml'/></mujoco>", "there is no file .*/xml. It is a folder."),
+        ("<mujoco><include file='pipe.xml'/></mujoco>", "there is no file .*/pipe.xml. It is a pipe or a device."),
     ],
 )  # fmt: skip
 def test_a_file_that_is_not_named_is_said(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "xml").mkdir()
+    os.mkfifo(tmp_path / "pipe.xml")
     (tmp_path / "robot.xml").write_text(text)
     with pytest.raises(FileError, match=said):
         load(tmp_path / "robot.xml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -26,3 +27,19 @@ def test_what_changes_trainings_alone_is_refused(
         in capsys.readouterr().err
     )
     assert sorted((built_on / "go").rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "episodes", "told"),
+    [(["evaluation.episodes=3"], 8, True), (["episodes=3"], 3, False),
+     (["episodes=3", "evaluation.episodes=3"], 3, False)],
+)  # fmt: skip
+def test_that_episodes_at_once_are_not_those_in_all_is_said(
+    words: list[str], episodes: int, told: bool, built_on: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of `evaluation.episodes=3`, eight were judged, and nothing was said."""
+    assert main(["evaluate", str(built_on / "go"), "half_step=false", *words]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["episodes"] == episodes
+    sentence = "evaluation.episodes=3 says how many run at once here, and 8 are judged: episodes=3"
+    assert (sentence in said.err) == told

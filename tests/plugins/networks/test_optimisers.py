@@ -127,3 +127,26 @@ def test_moments_that_are_not_of_these_parameters_are_refused(name: str, wrong: 
         optimisers.load_state(optimiser, {**state, "0": {**state["0"], name: wrong}})
     with pytest.raises(ValueError, match="moments of 3 parameters, and there are 4"):
         optimisers.load_state(optimiser, {k: v for k, v in state.items() if k != "0"})
+    with pytest.raises(ValueError, match="moments of 0 parameters, and there are 4"):
+        optimisers.load_state(optimiser, {})
+
+
+def test_moments_before_the_first_step_are_those_that_it_begins_with() -> None:
+    """As torch makes them; a checkpoint that lacked them was taken for one of a fresh optimiser."""
+    parameters = list(network().parameters())
+    twins = [nn.Parameter(p.detach().clone()) for p in parameters]
+    ours = optimisers.adam(parameters, torch.tensor(RATE))
+    torchs = torch.optim.Adam(twins, torch.tensor(RATE), fused=True)
+    assert len(optimisers.state_of(ours)) == 4
+    for _ in range(3):
+        for p, twin in zip(parameters, twins, strict=True):
+            p.grad = torch.sin(torch.arange(p.numel()) + 1.0).view_as(p) * (p.detach() + 1)
+            twin.grad = p.grad.clone()
+        optimisers.step(ours, torch.zeros(()))
+        torchs.step()
+    for p, twin in zip(parameters, twins, strict=True):
+        assert torch.equal(p, twin)
+        assert ours.state[p].keys() == torchs.state[twin].keys()
+        assert all(
+            torch.equal(ours.state[p][name], torchs.state[twin][name]) for name in ours.state[p]
+        )

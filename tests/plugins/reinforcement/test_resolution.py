@@ -112,10 +112,13 @@ def test_the_last_evaluation_is_at_the_tasks_own_physics() -> None:
     assert evaluators[4].built.environment.parts.simulator._substeps == 4
 
 
-@pytest.mark.parametrize("stop", [2, 6])
-def test_resuming_across_the_change_is_exact(tmp_path: Path, stop: int) -> None:
-    """Stopped before and after it; of eight iterations the first four are coarse."""
-    overrides = ["budget.samples=64", "resolution.budget=0.5"]
+@pytest.mark.parametrize(
+    ("stop", "every"), [(2, "null"), (6, "null"), (6, 1000)], ids=["before", "after", "set back"]
+)
+def test_resuming_across_the_change_is_exact(tmp_path: Path, stop: int, every: object) -> None:
+    """Stopped before and after it; of eight iterations the first four are coarse. The next evaluation may be set
+    back to before the beginning, where a checkpoint was taken for one that counts what cannot be."""
+    overrides = ["budget.samples=64", "resolution.budget=0.5", f"evaluation.every_samples={every}"]
     whole = made(tmp_path / "whole", *overrides)
     length = len(list(whole.rows()))
     cut = made(tmp_path / "cut", *overrides)
@@ -125,6 +128,7 @@ def test_resuming_across_the_change_is_exact(tmp_path: Path, stop: int) -> None:
     rows.close()
     cut.close()
     assert cut.run is not None
+    assert (cut.progress.evaluated_at < 0) == (every != "null")
     cut.run.unlock()
     again = resumed(line_plugins(), tmp_path / "cut")
     again.train()

@@ -494,6 +494,16 @@ def test_a_broken_variant_is_refused_before_anything_runs(
     assert not (tmp_path / "sweep").exists()
 
 
+def test_gpus_that_no_variant_uses_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each trial was given one of eight, and trained on the CPU."""
+    words = ("executor=processes", "executor.gpus=8", f"run.dir={tmp_path / 'sweep'}")
+    assert main(["sweep", *BASE, TWO, *words]) == 2
+    assert "executor.gpus=8 gives each trial a GPU, which none uses" in capsys.readouterr().err
+    assert not (tmp_path / "sweep").exists()
+
+
 def test_a_broken_first_trial_is_refused(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(scripted, "trials", [Trial("a", point={"learner.rat": 1.0})])
     with pytest.raises(ConfigError, match=r"Trial 'a' cannot be run: .*rat.*Did you mean 'rate'"):

@@ -235,6 +235,12 @@ def load(
         asked = _value("episodes", own["episodes"])
         _set(config, "evaluation.episodes", min(most, asked) if type(most) is int else asked)
     experiment = run.experiment(config=config)
+    options = experiment.root.evaluation
+    if "evaluation.episodes" in given and options.episodes < options.final_episodes:
+        tell(
+            f"evaluation.episodes={options.episodes} says how many run at once here, and {options.final_episodes} are "
+            f"judged: episodes={options.episodes} judges as many in all."
+        )
     run.info["config"] = experiment.effective()  # what is drawn; the file keeps what was trained
     reporter = Reporter(tell)
     if chosen:

@@ -69,7 +69,13 @@ class _SGD(_Uncompiled, SGD):
 
 def adam(parameters: Sequence[nn.Parameter], rate: Tensor, *, weight_decay: float = 0.0) -> Adam:
     """Adam (Kingma and Ba 2015). `rate` () is read at every step; decay is added to the gradient."""
-    return _Adam(parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda)
+    optimiser = _Adam(
+        parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda
+    )
+    for p in parameters:  # as a first step makes them; so a checkpoint without them is a wrong one
+        moments = {name: torch.zeros_like(p) for name in ("exp_avg", "exp_avg_sq")}
+        optimiser.state[p] = {"step": torch.zeros((), device=p.device), **moments}
+    return optimiser
 
 
 def sgd(
@@ -112,7 +118,7 @@ def step(optimiser: Optimizer, unsound: Tensor, divisor: Tensor | None = None) -
 
 
 def state_of(optimiser: Optimizer) -> State:
-    """Moments by parameter position; empty before the first step."""
+    """Moments by parameter position; none of descent without momentum."""
     parameters = optimiser.param_groups[0]["params"]
     return {
         str(i): {k: v.clone() for k, v in optimiser.state[p].items()}
@@ -126,8 +132,9 @@ def load_state(optimiser: Optimizer, state: State) -> None:
     parameters = optimiser.param_groups[0]["params"]
     adaptive = "betas" in optimiser.defaults
     names = {"step", "exp_avg", "exp_avg_sq"} if adaptive else {"momentum_buffer"}
-    if state and len(state) != len(parameters):
-        raise ValueError(f"moments of {len(state)} parameters, and there are {len(parameters)}")
+    wanted = len(parameters) if optimiser.state else 0
+    if len(state) != wanted:
+        raise ValueError(f"moments of {len(state)} parameters, and there are {wanted}")
     for i, p in enumerate(parameters if state else ()):
         for name in names:
             value, shape = state[str(i)][name], () if name == "step" else p.shape

@@ -42,7 +42,9 @@ class Reducer:
             "last": lambda: value,
             "min": lambda: torch.minimum(self._value, value),
             "max": lambda: torch.maximum(self._value, value),
-            "any": lambda: torch.maximum(self._value, (value != 0).float()),
+            "any": lambda: torch.maximum(
+                self._value, torch.where(value.isnan(), torch.nan, (value != 0).float())
+            ),
             "sum": lambda: self._value + value,
             "mean": lambda: self._value + value,
         }[self.reduce]()
@@ -145,9 +147,11 @@ class Evaluator:
         for name, part in reversed(self._starts.items()):  # the first stays, and decides
             self.built.environment.parts.initial_states = part
             if beside:
-                rows, _ = self._batch(policy, f"{draw}/{name}", worlds, far=far)
+                there: list[bytes] = []
+                rows, _ = self._batch(policy, f"{draw}/{name}", worlds, states=there, far=far)
                 over += 1
-                begun[f"success_from_{name}"] = Measured.of("any", rows["success"].float())
+                won = rows["success"].float()
+                begun[f"success_from_{name}"] = Measured.of("any", won, len(set(there)))
         found: list[dict[str, Tensor]] = []
         states: list[bytes] | None = [] if give_up_below is None else None
         lost = done = 0

@@ -12,7 +12,7 @@ import torch
 
 from understudy import distributed
 from understudy.command.command import tell
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.folders import opened
 from understudy.options import at
 from understudy.records import runs
@@ -66,6 +66,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.info["overrides"] = run.words(overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
         config = experiment.effective()
+        _refuse_another(run, experiment)
         config["run"] |= {"dir": at(run.config, "run.dir")}
         run.info["config"] = config
     experiment = run.experiment()
@@ -98,6 +99,25 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
         run.write_json("run.json", run.info)
     return _carry_out(training)
+
+
+def _refuse_another(run: Run, experiment: Experiment) -> None:
+    """Raise ConfigError if what the words make of `run` is another run by its seed or its folder."""
+    begun, seed = at(run.config, "seed"), experiment.root.seed
+    if type(begun) is int and seed != begun:
+        raise ConfigError(
+            f"seed={seed} is another run's: {run.path} was begun with seed {begun}, and what it has learned stays "
+            f"of that. Give `understudy train` seed={seed}, with start.run={run.path} if it is to begin with what "
+            "was learned here."
+        )
+    folder = experiment.root.run.dir
+    if folder and Path(folder).resolve() not in {
+        Path(f).resolve() for f in (run.path, at(run.config, "run.dir")) if f
+    }:
+        raise ConfigError(
+            f"run.dir={folder} is another run's folder: {run.path} goes on where it is. Leave it out, or copy the folder "
+            f"and resume the copy: `cp -r {run.path} {folder}`."
+        )
 
 
 def leave_damaged_rows_out(run: Run) -> None:

@@ -302,8 +302,8 @@ class _Reader:
                     p.name for p in path.parent.glob("*") if p.name.lower() == path.name.lower()
                 ]
                 hint = f" There is {alike[0]}: names differ in capitals here." if alike else ""
-                if path.is_dir():
-                    hint = " It is a folder."
+                if path.exists():
+                    hint = " It is a folder." if path.is_dir() else " It is a pipe or a device."
                 raise FileError(
                     f"The model {self._path} cannot be read: there is no file {path}.{hint}"
                 )

@@ -23,6 +23,7 @@ import torch
 
 from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
 from understudy.folders import read
+from understudy.options import at
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.composition import load_experiment
@@ -70,7 +71,13 @@ def sweep(overrides: Sequence[str]) -> int:
     given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
-    known = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    known, devices = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    gpus = at(experiment.effective(), "executor.gpus")
+    if gpus is not None and loop.plan and devices == {"cpu"}:
+        raise ConfigError(
+            f"executor.gpus={gpus} gives each trial a GPU, which none uses with device=cpu. Give device=cuda, or leave "
+            "executor.gpus out."
+        )
     _check_paper(chosen.effective().get("paper"), known)
     executor: Executor = experiment.need("executor").build(work)
     _refuse_other_things(folder)  # before the lock looks through all of it, as of /
@@ -241,10 +248,13 @@ def _composed(overrides: Sequence[str]) -> Experiment:
         ) from error
 
 
-def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> set[str]:
+def _check(
+    trials: Sequence[Trial | None], work: Work, measures: Sequence[str]
+) -> tuple[set[str], set[str]]:
     """Refuse a sweep of which a variant cannot be composed, or lacks one of `measures`, before
-    anything runs; the measures of all variants, none where a job may have some of its own."""
+    anything runs; the measures of all variants, none where a job may have some of its own, and their devices."""
     seen: set[str] = set()
+    devices: set[str] = set()
     found: list[set[str]] = []
     for trial in trials:
         if trial is None or (trial.variant or trial.key) in seen:
@@ -257,6 +267,7 @@ def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) 
         except ConfigError as error:
             what = f"Variant '{trial.variant}'" if trial.variant else f"Trial '{trial.key}'"
             raise ConfigError(f"{what} cannot be run: {error}") from error
+        devices.add(experiment.root.device)
         known = {c.name for c in experiment.many("measure")}
         found.append(known if experiment.one("job") is None else set())
         for name in measures if known else ():  # else the job may have some of its own
@@ -265,7 +276,7 @@ def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) 
                     f"outer_loop needs the measure '{name}', which trials have not got."
                     f"{suggestion(name, known)}"
                 )
-    return set().union(*found) if all(found) else set()
+    return set().union(*found) if all(found) else set(), devices
 
 
 def _check_paper(paper: Mapping[str, Any] | None, measures: set[str]) -> None:
