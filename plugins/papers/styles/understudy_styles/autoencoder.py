@@ -176,7 +176,7 @@ def trained_network(run: str, scene: CharacterScene, registry: Registry) -> Moti
     if job is None or job.component.factory is not LearnFeatures:
         raise RunError(f"{run} trained no auto-encoder of motions (experiment=styles/autoencoder).")
     network = new_network(job.options, scene, 0)
-    state = newest_state(run).get("network")
+    state: Any = newest_state(run).get("network")
     for misfit in misshapen(dict(network.state_dict()), state, "network"):
         raise RunError(f"The auto-encoder of {run} is of another character: {misfit}.")
     network.load_state_dict(state)
