@@ -620,19 +620,34 @@ def test_observers_that_are_none(
     assert (tmp_path / "run/report.html").exists()  # which another's observer makes
 
 
-def test_a_package_whose_entry_points_cannot_be_read_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every command ended in a traceback that named no package."""
+@pytest.fixture
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The metadata of a package that is installed: a folder, with the METADATA of stranger 1.0."""
     info = tmp_path / "stranger-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Name: stranger\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_bytes(b"\xff\xfe")
     monkeypatch.syspath_prepend(tmp_path)
     plugins_module.installed.cache_clear()
-    try:
-        assert main(["plugins"]) == 2
-        told = f"The entry points of stranger in {tmp_path} cannot be read (UnicodeDecodeError"
-        assert told in capsys.readouterr().err
-    finally:
-        plugins_module.installed.cache_clear()
+    yield info
+    plugins_module.installed.cache_clear()
+
+
+def test_a_package_whose_entry_points_cannot_be_read_is_named(
+    stranger: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every command ended in a traceback that named no package."""
+    (stranger / "entry_points.txt").write_bytes(b"\xff\xfe")
+    assert main(["plugins"]) == 2
+    told = f"The entry points of stranger in {stranger.parent} cannot be read (UnicodeDecodeError"
+    assert told in capsys.readouterr().err
+
+
+def test_a_plugin_of_a_package_whose_name_cannot_be_read(
+    stranger: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It works; every command ended in a traceback."""
+    (stranger / "METADATA").write_bytes(b"Name: \xff\xfe\nVersion: 1.0\n")
+    (stranger / "entry_points.txt").write_text("[understudy]\nodd = odd_plugin_of_stranger\n")
+    (stranger.parent / "odd_plugin_of_stranger.py").write_text('"""Brings nothing."""\n')
+    assert main(["plugins"]) == 0
+    assert "odd" in capsys.readouterr().out

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -77,11 +78,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         if a variable names no plugin.
     """
     result = Plugins()
-    about = functools.cache(_about)  # many plugins are of one distribution
-    found = sorted(
-        _entries(),
-        key=lambda e: (about(e.dist)[0] != "understudy", e.name, about(e.dist)[0]),
-    )
+    of = functools.cache(_of)  # many plugins are of one distribution
+    found = sorted(_entries(), key=lambda e: (of(e.dist)[0] != "understudy", e.name, of(e.dist)))
     there = {entry.name for entry in found}
     allowed = (_names("UNDERSTUDY_PLUGINS", there) or None) if only is None else set(only)
     disabled = _names("UNDERSTUDY_DISABLE_PLUGINS", there)
@@ -89,10 +87,10 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:
             continue
-        distribution, version = about(entry.dist)
+        distribution, version = of(entry.dist)
         first = seen.setdefault(entry.name, entry)
         if first.value != entry.value:
-            other, by = about(first.dist)[0] or "another distribution", distribution or entry.value
+            other, by = of(first.dist)[0] or "another distribution", distribution or entry.value
             error = PluginError(
                 f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or "
                 "rename its plugin."
@@ -120,9 +118,11 @@ def _entries(one: metadata.Distribution | None = None) -> Iterable[metadata.Entr
         raise PluginError(f"{why} works beside it. Install it anew, or remove it.") from error
 
 
-def _about(distribution: metadata.Distribution | None) -> tuple[str, str]:
+def _of(distribution: metadata.Distribution | None) -> tuple[str, str]:
     """Name and version, empty where its metadata are damaged."""
-    return (distribution.name or "", distribution.version or "") if distribution else ("", "")
+    with suppress(Exception):  # no text, say
+        return (distribution.name or "", distribution.version or "") if distribution else ("", "")
+    return "", ""
 
 
 def _names(variable: str, there: set[str]) -> set[str]:

@@ -350,6 +350,7 @@ def test_a_candidate_that_falls_where_the_arm_begins_is_left_out_alone(
         (["grip.file=nowhere.json"], "nowhere.json"),
         (["initial_states.amplitude=[0, 0.3]"], "the grip closes by 0.15 rad"),
         (["initial_states.amplitude=[0.1, 0.05]"], "the first is the lower one"),
+        (["initial_states.rate=[50.0, 200.0]"], "must be at most 10"),
         (["initial_states.arms=[]"], "give at least one"),
         (["initial_states.arms=[[9, 0, 0, 0, 0, 0, 0]]"], "beyond the arm's range"),
         (["scene=character", "scene.character=humanoid"], "needs a scene of type HandScene"),

@@ -325,7 +325,8 @@ class OpenAndClose(InitialStates):
     class Options:
         #: rad: how far the sticks close. The thesis gives none; the release's plans go to 0.12.
         amplitude: tuple[float, float] = (0.12, 0.12)
-        rate: tuple[float, float] = (2.0, 2.0)  #: Hz; "several times" within a second
+        #: Hz, at most 10, of opening and closing. The thesis: "several times" within a second.
+        rate: tuple[float, float] = (2.0, 2.0)
         #: rad, added to the standard arm's pose: directions to point to. The thesis has three, without numbers.
         arms: tuple[tuple[float, float, float, float, float, float, float], ...] = (
             (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -342,7 +343,7 @@ class OpenAndClose(InitialStates):
                     )
             if not self.arms:
                 raise ValueError("arms=[] is not possible: give at least one.")
-            check_range(self)
+            check_range(self, "rate", most=10)
 
         def arms_in(self, scene: HandScene) -> np.ndarray:
             """(A, 7) rad: the arm's poses. Raises ConfigError where one is beyond its range."""
