@@ -281,10 +281,8 @@ def _check(
 
 def _check_paper(paper: Mapping[str, Any] | None, measures: set[str]) -> None:
     """Refuse published numbers `of` what no table of variants that have `measures` shows."""
-    of, known = (
-        (paper or {}).get("of", OBJECTIVE),
-        {OBJECTIVE, SUCCESS, SAMPLES, SECONDS, *measures},
-    )
+    of = (paper or {}).get("of", OBJECTIVE)
+    known = {OBJECTIVE, SUCCESS, SAMPLES, SECONDS, *measures}
     if measures and of not in {*known, "return"} and not of.startswith(METRICS):
         raise ConfigError(
             f"outer_loop.paper.of={of} is no figure of these trials.{suggestion(of, known)}"
