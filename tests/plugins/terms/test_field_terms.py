@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -9,7 +10,8 @@ from understudy.errors import ConfigError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_terms.terms import beyond, reached, steady, value, value_where
+from understudy.task import Context
+from understudy_terms.terms import OutOfBounds, beyond, reached, steady, value, value_where
 
 VECTOR = torch.tensor([[1.0, 2.0], [3.0, 0.5]])
 NUMBER = torch.tensor([1.0, 3.0])
@@ -72,3 +74,34 @@ def test_a_vector_observed_without_its_shape_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"extra.*\(3, 2\).*\(3, 1\)"):
         environment.reset(seed=0)
     environment.close()
+
+
+def test_bounds_change_with_time_and_stay_beyond_their_points() -> None:
+    options = OutOfBounds.Options(least=((1.0, 0.0), (3.0, 2.0)), most=((0.0, 5.0),))
+    term = OutOfBounds(
+        options,
+        Context(seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.1, substeps=1),
+    )
+
+    def out(value: float, time: float) -> bool:
+        return bool(term(torch.tensor([value]), torch.tensor([time])))
+
+    for time, least in ((0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (2.5, 1.5), (3.0, 2.0), (9.0, 2.0)):
+        assert out(least - 0.01, time)
+        assert not out(least + 0.01, time)
+        assert out(5.01, time)
+    several = term(torch.tensor([0.5, 0.5, 9.0]), torch.tensor([0.0, 2.0, 0.0]))
+    assert several.tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "neither least nor most"),
+        ({"least": ((1.0, 0.0), (1.0, 2.0))}, "later"),
+        ({"most": ((math.nan, 0.0),)}, "not finite"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        OutOfBounds.Options(**options)

@@ -16,6 +16,7 @@ PARTS = {
     "termination": {
         "reached": ("terms:reached", "a field is small enough"),
         "beyond": ("terms:beyond", "a field is too large"),
+        "out_of_bounds": ("terms:OutOfBounds", "a field leaves bounds that change with time"),
     },
     "encoder": {
         "value": ("encoders:Value", "a field itself"),

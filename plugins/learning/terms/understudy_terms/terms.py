@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
+
+from understudy.task import Context
 
 
 def _chosen(value: Tensor, index: int | None) -> Tensor:
@@ -69,3 +75,51 @@ def beyond(
 ) -> Tensor:
     """The field is at least `limit`; of a vector, any of its numbers."""
     return (_chosen(value, index) >= limit).view(len(value), -1).any(dim=1)
+
+
+class OutOfBounds:
+    """The field, one number, is below `least` or above `most`, which change with the time since the episode began:
+    bounds in space and time about any quantity, as Ma et al. 2021 (section 3.3) put about a reference motion."""
+
+    @dataclass(frozen=True)
+    class Options:
+        #: points (s, value in the field's unit), in order of time: straight between two, constant beyond the
+        #: first and the last; empty: no least
+        least: tuple[tuple[float, float], ...] = ()
+        most: tuple[tuple[float, float], ...] = ()  #: points likewise; empty: no most
+
+        def __post_init__(self) -> None:
+            if not self.least and not self.most:
+                raise ValueError("neither least nor most is given: it would never hold. Give one.")
+            for name in ("least", "most"):
+                points = getattr(self, name)
+                if not all(math.isfinite(number) for point in points for number in point):
+                    raise ValueError(f"{name} has a number that is not finite.")
+                if any(a[0] >= b[0] for a, b in itertools.pairwise(points)):
+                    raise ValueError(f"{name}: each point has to be later than the one before it.")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._least = [
+            torch.tensor(p, device=context.device) for p in zip(*options.least, strict=True)
+        ]
+        self._most = [
+            torch.tensor(p, device=context.device) for p in zip(*options.most, strict=True)
+        ]
+
+    def __call__(self, value: Tensor, episode_time: Tensor) -> Tensor:
+        out = torch.zeros_like(value, dtype=torch.bool)
+        if self._least:
+            out |= value < _between(episode_time, *self._least)
+        if self._most:
+            out |= value > _between(episode_time, *self._most)
+        return out
+
+
+def _between(at: Tensor, times: Tensor, values: Tensor) -> Tensor:
+    """(N,): on the straight lines between points (K,) and (K,), at the times (N,)."""
+    if len(times) == 1:
+        return values.expand(len(at))
+    after = torch.searchsorted(times, at.contiguous()).clamp(1, len(times) - 1)
+    before = after - 1
+    share = (at - times[before]) / (times[after] - times[before])
+    return torch.lerp(values[before], values[after], share.clamp(0.0, 1.0))

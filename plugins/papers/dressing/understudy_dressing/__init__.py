@@ -4,7 +4,7 @@ from understudy_skills.packaged import skills_beside
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "cloth", "composite", "mujoco", "networks", "ppo", "report", "skills", "tensors", "terms", "warp_torch",
+    "characters", "cloth", "composite", "mujoco", "networks", "ppo", "report", "skills", "tensors", "terms", "warp_torch",
 )  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.
@@ -15,6 +15,10 @@ PARTS = {
         "dressing/gown": ("gown:GownScene", "a gown from a file, held beside a sleeve"),
         "dressing/shirt": ("shirt:ShirtScene", "a T-shirt whose hem hands can hold"),
         "dressing/jacket": ("jacket:JacketScene", "a jacket that hangs from a hand"),
+        "dressing/skirt": ("skirt:SkirtScene", "a skirt that a character wears"),
+    },
+    "coupling": {
+        "dressing/worn": ("skirt:Worn", "a skirt that its wearer moves"),
     },
     "fields": {
         "dressing/limb_progress": ("state:LimbProgress", "how far a limb is in a sleeve, alone"),

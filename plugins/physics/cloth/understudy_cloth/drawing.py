@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from understudy_cloth.scene import Box, Capsule, ClothModel, TaperedCapsule
 from understudy_mujoco.drawing import open_renderer
 
 _BODY, _CLOTH = (0.85, 0.62, 0.45, 1.0), (0.35, 0.55, 0.78, 1.0)
-_FLOOR = (0.90, 0.90, 0.89, 1.0)
+_FLOOR, _SQUARES = (0.90, 0.90, 0.89), (0.80, 0.82, 0.84)
 #: Pieces of a tapered capsule, which MuJoCo has not: capsules whose radii follow it.
 _PIECES = 12
+#: Times its own size: what moves about within that is seen from where it is seen whole; else the camera follows it,
+#: over so many frames smoothed, from so many times as far, since bodies reach beyond their origins.
+_STAYS, _SMOOTHING, _AROUND = 2.0, 6.0, 1.3
 
 
-def _spec(model: ClothModel, width: int, height: int) -> mujoco.MjSpec:
-    """A mocap body for each tool, and the garment as a flex of the world."""
+def _spec(model: ClothModel, width: int, height: int, floor: float | None = None) -> mujoco.MjSpec:
+    """A mocap body for each tool, and the garment as a flex of the world; a floor of the height `floor`, m."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.45] * 3
@@ -28,7 +32,9 @@ def _spec(model: ClothModel, width: int, height: int) -> mujoco.MjSpec:
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=64,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=[0.95, 0.96, 0.97], rgb2=[0.78, 0.82, 0.87],
     )  # fmt: skip
-    spec.worldbody.add_light(pos=[2, -2, 4], dir=[-0.4, 0.4, -1], diffuse=[0.4, 0.4, 0.4])
+    light = spec.worldbody.add_light(pos=[2, -2, 4], dir=[-0.4, 0.4, -1], diffuse=[0.4, 0.4, 0.4])
+    if floor is not None:  # on which one walks away from a lamp
+        light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     for number, tool in enumerate(model.tools):
         body = spec.worldbody.add_body(name=f"tool{number}", mocap=True)
         for shape in tool.shapes:
@@ -54,12 +60,29 @@ def _spec(model: ClothModel, width: int, height: int) -> mujoco.MjSpec:
                     break
                 body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, 0, 0],
                               fromto=[*a, *b], rgba=_BODY)  # fmt: skip
+    if floor is not None:
+        spec.add_texture(
+            name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=256, height=256,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=_FLOOR, rgb2=_SQUARES,
+        )  # fmt: skip
+        squares = spec.add_material(name="squares", texrepeat=[1, 1], texuniform=True)
+        squares.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05],
+                                pos=[0, 0, floor], material="squares")  # fmt: skip
     flex = spec.add_flex(name="cloth", dim=2, radius=1e-3, rgba=_CLOTH, flatskin=False)
     flex.vertbody = ["world"]
     flex.vert = np.asarray(model.positions, float).ravel()
     flex.elem = np.asarray(model.faces, np.int32).ravel()
     flex.contype = flex.conaffinity = 0
     return spec
+
+
+def _path(seen: Sequence[np.ndarray], frames: int) -> tuple[np.ndarray, float]:
+    """Where in each of the frames the middle of everything is, smoothed, (T, 3) m, and how large it is at most, m."""
+    points = np.concatenate([them.reshape(frames, -1, 3) for them in seen], axis=1)
+    low, high = points.min(axis=1), points.max(axis=1)
+    smooth = gaussian_filter1d(0.5 * (low + high), _SMOOTHING, axis=0, mode="nearest")
+    return smooth, float(np.linalg.norm(high - low, axis=1).max())
 
 
 def draw(
@@ -69,9 +92,10 @@ def draw(
     height: int,
     azimuth: float | None = None,
     more: Callable[[int, mujoco.MjvScene], None] | None = None,
+    floor: float | None = None,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8 of the recorded ``cloth_position`` (T, V, 3), and of tools where they are
-    recorded. `more` is told the frame's number and adds shapes to its picture.
+    recorded. `more` is told the frame's number and adds shapes to its picture; a `floor` is that many m high.
 
     Raises
     ------
@@ -79,17 +103,21 @@ def draw(
         if there is no OpenGL to draw with.
     """
     cloth = tracks["cloth_position"]
-    compiled = _spec(model, width, height).compile()
+    compiled = _spec(model, width, height, floor).compile()
     data = mujoco.MjData(compiled)
     seen = [cloth.reshape(-1, 3)]
     if model.tools and "tool_position" in tracks:
         seen.append(tracks["tool_position"].reshape(-1, 3))
     points = np.concatenate(seen)
     low, high = np.quantile(points, (0.01, 0.99), axis=0)
-    size = float(np.linalg.norm(high - low))
+    middle, size = _path(seen, len(cloth))
+    room = float(np.linalg.norm(high - low))
+    if room < _STAYS * size:
+        middle[:], size = 0.5 * (low + high), room
+    else:
+        size *= _AROUND
     compiled.stat.extent, compiled.stat.center[:] = size, 0.5 * (low + high)
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = 0.5 * (low + high)
     camera.distance, camera.elevation = 1.3 * size, -15.0
     camera.azimuth = 130.0 if azimuth is None else azimuth
     renderer = open_renderer(compiled, width, height, compiled.ngeom + 64)
@@ -104,6 +132,7 @@ def draw(
             mujoco.mj_camlight(compiled, data)
             mujoco.mj_flex(compiled, data)
             data.flexvert_xpos[:] = here
+            camera.lookat[:] = middle[frame]
             renderer.update_scene(data, camera, option)
             if more is not None:
                 more(frame, renderer.scene)

@@ -69,6 +69,8 @@ class ClothScene(Scene):
     """A scene with one garment. All N worlds have the same mesh and bodies."""
 
     recorded = ("cloth_position", "tool_position", "tool_orientation")
+    #: m: how high the floor is that pictures have; None: there is none.
+    floor: float | None = None
 
     @abstractmethod
     def model(self) -> ClothModel:
@@ -80,7 +82,8 @@ class ClothScene(Scene):
         """The garment and the bodies that it meets."""
         from understudy_cloth.drawing import draw
 
-        yield from draw(self.model(), tracks, width, height, self.azimuth, self.marks(tracks))
+        marks = self.marks(tracks)
+        yield from draw(self.model(), tracks, width, height, self.azimuth, marks, self.floor)
 
     def marks(self, tracks: Mapping[str, np.ndarray]) -> Callable[[int, Any], None] | None:
         """What is told each frame's number and its MuJoCo scene, and adds shapes to the picture; or nothing."""

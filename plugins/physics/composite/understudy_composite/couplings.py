@@ -16,6 +16,8 @@ from understudy.task import Context, Simulator
 from understudy_mujoco.scene import MujocoScene
 from understudy_tensors import rotations
 
+__all__ = ["Coupling", "ToolsFollow"]
+
 
 class Coupling(ABC):
     """Drives some controls of the member `target` from fields of the member `source`. Pure functions:

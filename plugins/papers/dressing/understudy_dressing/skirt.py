@@ -1,0 +1,180 @@
+"""A skirt that any character wears: cloth on a task that knows nothing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.setup.plugins import installed
+from understudy.task import Context, Simulator
+from understudy_characters.character import character_spec
+from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
+from understudy_composite.couplings import Coupling, ToolsFollow
+from understudy_mujoco.scene import MujocoScene
+from understudy_tensors import rotations
+from understudy_warp_torch.tools import Box, Capsule, Shape, Tool
+
+#: The most vertices of a skirt: as many as a shirt has.
+_MOST = 10_000
+
+
+class SkirtScene(ClothScene):
+    """A cone of cloth around the character's root body, open at both ends, whose waistband that body holds."""
+
+    floor = 0.0
+
+    @dataclass(frozen=True)
+    class Options:
+        character: str = "humanoid"  #: as in the scene of the one who wears it
+        waist: float = 0.95  #: m, perimeter of the waistband
+        hem: float = 1.9  #: m, perimeter of the lower edge
+        length: float = 0.42  #: m, from waistband to hem along the cloth
+        height: float = 0.06  #: m, of the waist above the root body's frame
+        edge: float = 0.04  #: m, of triangles, about
+        #: what it is made of; without bending the hinges cost nothing
+        fabric: Fabric = field(default_factory=lambda: Fabric(bending=0.0))
+
+        def __post_init__(self) -> None:
+            check_range(self, "waist", "hem", "length", "edge", above=0, most=5)
+            check_range(self, "height", least=-1, most=1)
+            check_range(self, "edge", most=min(self.waist / 6, self.length / 4))
+            if abs(self.hem - self.waist) >= 2 * np.pi * self.length:
+                raise ValueError(
+                    f"hem={self.hem} is not possible: a length of {self.length} m leads from a waist of "
+                    f"{self.waist} m to less."
+                )
+            if 0.5 * (self.waist + self.hem) * self.length / self.edge**2 > _MOST:
+                raise ValueError(f"edge={self.edge} gives more than {_MOST} vertices: enlarge it.")
+
+    def __init__(self, options: Options, context: Context | None = None) -> None:
+        self.options = options
+        registry = context.registry if context and context.registry else installed().registry
+        name, spec = character_spec(options.character, registry, context)
+        model = spec.compile()
+        self.bodies, self._tools = _surfaces(model, name)
+
+    @cached_property
+    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) m in the root body's frame, rows from the waist down, and triangles (F, 3) facing out."""
+        own = self.options
+        around, rows = self.around, 1 + max(4, round(own.length / own.edge))
+        wide, narrow = own.hem / (2 * np.pi), own.waist / (2 * np.pi)
+        drop = np.sqrt(own.length**2 - (wide - narrow) ** 2)
+        share, angle = np.meshgrid(
+            np.linspace(0, 1, rows), 2 * np.pi * np.arange(around) / around, indexing="ij"
+        )
+        radius = narrow + share * (wide - narrow)
+        points = np.stack(
+            [radius * np.cos(angle), radius * np.sin(angle), own.height - share * drop], -1
+        )
+        r, k = (
+            i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(around), indexing="ij")
+        )
+        p, q = r * around + k, r * around + (k + 1) % around
+        s, t = p + around, q + around
+        faces = np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
+        return points.reshape(-1, 3), faces
+
+    @property
+    def around(self) -> int:
+        """Vertices of the waistband."""
+        own = self.options
+        return max(8, round(0.5 * (own.waist + own.hem) / own.edge))
+
+    def model(self) -> ClothModel:
+        points, faces = self.mesh
+        waistband = Grip(0, np.arange(self.around))
+        return ClothModel(points, faces, self.options.fabric, tools=self._tools, grips=(waistband,))
+
+
+def _surfaces(model: mujoco.MjModel, name: str) -> tuple[tuple[str, ...], tuple[Tool, ...]]:
+    """The bodies of `model` that have a shape, the first of which holds the waistband, and a tool for each."""
+    types = mujoco.mjtGeom
+    shapes: dict[int, list[Shape]] = {}
+    for geom in range(model.ngeom):
+        body, kind = int(model.geom_bodyid[geom]), int(model.geom_type[geom])
+        size = model.geom_size[geom]
+        if body == 0:
+            continue  # the floor
+        at, turn = tuple(model.geom_pos[geom].tolist()), tuple(model.geom_quat[geom].tolist())
+        if kind == types.mjGEOM_BOX:
+            shape: Shape = Box(tuple(size.tolist()), at, turn)
+        elif kind in (types.mjGEOM_CAPSULE, types.mjGEOM_SPHERE):
+            shape = Capsule(float(size[0]), float(size[1]), at, turn)
+        else:
+            raise ConfigError(
+                f"scene 'dressing/skirt' cannot dress '{name}': its body '{model.body(body).name}' has a shape "
+                f"that is no box, capsule or sphere. Choose another character."
+            )
+        shapes.setdefault(body, []).append(shape)
+    if not shapes:
+        raise ConfigError(f"scene 'dressing/skirt' cannot dress '{name}': it has no shapes.")
+    names = tuple(model.body(body).name for body in shapes)
+    return names, tuple(Tool(tuple(them)) for them in shapes.values())
+
+
+class Worn(Coupling):
+    """A skirt follows the character's bodies, hangs around its root where an episode begins, as fast as that
+    moves, and never opens. So the task of the one who wears it stays as it is."""
+
+    reads = ("xpos", "xquat", "cvel", "subtree_com")
+    sets = ("tool_position", "tool_orientation", "cloth_position", "cloth_velocity")
+
+    @dataclass(frozen=True)
+    class Options:
+        source: str  #: the member with the character
+        target: str  #: the member with the skirt
+
+    def __init__(
+        self, options: Options, context: Context, simulators: Mapping[str, Simulator]
+    ) -> None:
+        self.source, self.target = options.source, options.target
+        scene = context.scene.members[self.target] if context.scene else None
+        if not isinstance(scene, SkirtScene):
+            skirts = [
+                name
+                for name, one in (context.scene.members if context.scene else {}).items()
+                if isinstance(one, SkirtScene)
+            ]
+            raise ConfigError(
+                f"coupling 'dressing/worn': member '{self.target}' is a {type(scene).__name__} and no skirt."
+                f"{suggestion(self.target, skirts)}"
+            )
+        follow = ToolsFollow.Options(self.source, self.target, scene.bodies)
+        self._tools = ToolsFollow(follow, context, simulators)
+        self.columns: Sequence[int] = range(
+            len(self._tools.columns) + 1
+        )  # and the waistband's grip
+        wearer = context.scene.members[self.source] if context.scene else None
+        assert isinstance(wearer, MujocoScene)  # tools follow no other
+        model = wearer.compiled(context)
+        self._root = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, scene.bodies[0])
+        self._laid_out = torch.tensor(scene.mesh[0], dtype=torch.float32, device=context.device)
+
+    def control(self, xpos: Tensor, xquat: Tensor, cvel: Tensor, subtree_com: Tensor) -> Tensor:
+        tools = self._tools.control(xpos, xquat)
+        return torch.cat([tools, tools.new_ones(len(tools), 1)], dim=1)
+
+    def state(
+        self, xpos: Tensor, xquat: Tensor, cvel: Tensor, subtree_com: Tensor
+    ) -> Mapping[str, Tensor]:
+        place, turn = xpos[:, self._root].unsqueeze(1), xquat[:, self._root].unsqueeze(1)
+        local = self._laid_out.expand(len(xpos), -1, -1)
+        cloth = place + rotations.rotate(turn.expand(-1, local.shape[1], -1), local)
+        # MuJoCo has a body's velocity at the centre of mass of the tree that it belongs to: turning, then moving.
+        turning, moving = cvel[:, self._root].unsqueeze(1).split(3, dim=2)
+        arm = cloth - subtree_com[:, self._root].unsqueeze(1)
+        velocity = moving + torch.linalg.cross(turning.expand_as(arm), arm)
+        return {
+            **self._tools.state(xpos, xquat),
+            "cloth_position": cloth,
+            "cloth_velocity": velocity,
+        }
