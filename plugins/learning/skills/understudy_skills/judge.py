@@ -38,6 +38,8 @@ class Judge(Reinforcement):
         self.options = options
 
     def prepare(self) -> None:
+        # what does not fit is said before the run has a folder, as it is of runs that train
+        self.evaluator.built.environment.reset()
         if self.options.run is None:
             self.policy = build_policy(self.experiment, self.evaluator.built.context)
             return
