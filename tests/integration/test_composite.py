@@ -281,5 +281,5 @@ def test_a_composite_within_itself_is_refused() -> None:
     words = ("scene={name: composite}", "simulator={name: composite}")
     inner = ("scenes={inner: {name: composite}}", "simulators={inner: {name: composite}}")
     experiment = load_experiment(["experiment=miniature/go", *words, *inner])
-    with pytest.raises(ConfigError, match="scenes.inner is a composite within the composite"):
+    with pytest.raises(ConfigError, match=r"scenes\.inner is a composite within the composite"):
         build_environment(experiment)

@@ -44,7 +44,7 @@ class CompositeScene(Scene):
             )
         names = [one.name for one in chosen]
         for one in chosen:
-            if one.component.factory is CompositeScene:
+            if isinstance(one.options, CompositeScene.Options):
                 raise ConfigError(
                     f"scenes.{one.name} is a composite within the composite: name all members in scenes themselves."
                 )
