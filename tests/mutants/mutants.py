@@ -147,7 +147,7 @@ MUTANTS = (
     Mutant("a journal is no JSON", "plugins/search/sweeps/understudy_sweeps/journal.py", "None if math.isnan(v) else v", "v",
            "tests/plugins/sweeps/test_journal.py -k other_programs"),
     Mutant("a part writes into what it reads", "plugins/learning/reinforcement/understudy_reinforcement/promised.py",
-           "if given[name]._version != version:", "if False:", "tests/plugins/reinforcement/test_promised.py -k named"),
+           "if _written(given[name]) != version:", "if False:", "tests/plugins/reinforcement/test_promised.py -k named"),
     Mutant("polygons are fans", f"{CLOTH}/garments.py", "best, most = None, 0.0", "return [[0, k, k + 1] for k in range(1, len(x) - 1)]",
            "tests/plugins/cloth/test_garments.py -k outline"),
     Mutant("stages are judged by any field", "plugins/search/sequencing/understudy_sequencing/stages.py", "            if shape:\n",

@@ -43,7 +43,7 @@ def _try_all(environment: Environment) -> None:
     table = environment.table
     for where, reads, call in _parts(environment):
         given = table.pick(reads)
-        versions = {name: value._version for name, value in given.items()}
+        versions = {name: _written(value) for name, value in given.items()}
         try:
             found = call(**given)
         except _MISFITS as error:
@@ -58,7 +58,7 @@ def _try_all(environment: Environment) -> None:
                 "(`understudy describe --fields` lists them)."
             ) from error
         for name, version in versions.items():
-            if given[name]._version != version:
+            if _written(given[name]) != version:
                 raise ConfigError(
                     f"{where} writes into the field '{reads[name]}', which others read: have it return a tensor of its "
                     "own, as a + b is, and a.add_(b) is not."
@@ -69,6 +69,11 @@ def _try_all(environment: Environment) -> None:
                 raise ConfigError(
                     f"{where} returns a {type(value).__name__}: it must return a tensor, with a row for each world."
                 )
+
+
+def _written(value: Tensor) -> int:
+    """How often it was written into; one that was made in torch's inference mode does not count that."""
+    return 0 if value.is_inference() else value._version
 
 
 def _parts(
