@@ -13,6 +13,8 @@ import pytest
 import torch
 
 from understudy.errors import ConfigError
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy.task import Context, Scene
 from understudy.testing import FakeScene, check_simulator
@@ -273,3 +275,11 @@ def test_what_does_not_go_together_is_refused() -> None:
     lacking.chosen = {**lacking.chosen, "simulators": lacking.chosen["simulators"][:1]}
     with pytest.raises(ConfigError, match="name one for each"):
         CompositeSimulator(None, lacking)
+
+
+def test_a_composite_within_itself_is_refused() -> None:
+    words = ("scene={name: composite}", "simulator={name: composite}")
+    inner = ("scenes={inner: {name: composite}}", "simulators={inner: {name: composite}}")
+    experiment = load_experiment(["experiment=miniature/go", *words, *inner])
+    with pytest.raises(ConfigError, match=r"scenes\.inner is a composite within the composite"):
+        build_environment(experiment)

@@ -19,6 +19,7 @@ import contextlib
 import fcntl
 import functools
 import json
+import math
 import os
 import platform
 import re
@@ -208,12 +209,10 @@ class Run:
         """
         rows = []
         try:
-            with opened(self.metrics_file, _METRICS) as file:
-                while line := file.readline(_ROW):
+            with contextlib.suppress(FileNotFoundError), opened(self.metrics_file, _METRICS) as f:
+                while line := f.readline(_ROW):
                     with contextlib.suppress(ValueError, RecursionError):
                         rows.append(json.loads(line.decode(errors="replace")))
-        except FileNotFoundError:
-            return []
         except OSError as error:
             raise RunError(f"{self.metrics_file} cannot be read: {error.strerror}.") from error
         return [row for row in rows if isinstance(row, dict)]
@@ -229,7 +228,8 @@ class Run:
         self.check_held()
         try:
             with open(self.metrics_file, "a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+                wrong = [k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)]
+                file.write(json.dumps({**row, **dict.fromkeys(wrong)}) + "\n")  # JSON has no NaN
         except OSError as error:
             raise RunError(
                 f"{self.metrics_file} could not be written: {error.strerror}. "

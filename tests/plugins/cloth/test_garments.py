@@ -153,7 +153,17 @@ BAD: dict[str, tuple[Change, str]] = {
             appended(x, 0.5 * (x[0] + x[1]) + (1e-7, 0, 0)), np.concatenate([f, [(0, 1, len(x))]]), n,
         ), "without area",
     ),
-    "a vertex of no face": (lambda x, f, n: (appended(x, (0.1, 0.1, 0.1)), f, n), "in no triangle"),
+    "a loop over a vertex of no face": (
+        lambda x, f, n: with_loop([48, 49, len(x)])(appended(x, (0.1, 0.1, 0.1)), f, n), "leaves the mesh",
+    ),
+    "a patch with a vertex of no face": (
+        lambda x, f, n: (appended(x, (0.1, 0.1, 0.1)), f, {**n, "patches": {"p": [0, len(x)]}}),
+        "patch 'p' has vertex 108, which is in no triangle",
+    ),
+    "a patch around a vertex of no face": (
+        lambda x, f, n: (appended(x, (0.1, 0.1, 0.1)), f, {**n, "patches": {"p": {"vertex": len(x), "radius": 0.1}}}),
+        "patch 'p' has vertex 108, which is in no triangle",
+    ),
     "centimetres": (lambda x, f, n: (100 * x, f, n), "centimetres, say unit: 0.01 "),
     "millimetres": (lambda x, f, n: (5000 * x, f, n), "millimetres, say unit: 0.001 "),
     "feet": (lambda x, f, n: (60 * x, f, n), "not metres, say unit: M"),
@@ -257,9 +267,7 @@ def test_what_is_no_garment_is_refused_in_one_sentence(kind: str, tmp_path: Path
     assert len(str(refused.value)) < 400 + len(str(tmp_path))
 
 
-@pytest.mark.parametrize(
-    "line", ["v 1 2", "v 1 2 x", "f 1 2", "f 1 2 3 4 5", "f 1 2 x", "f 1 2 -900"]
-)
+@pytest.mark.parametrize("line", ["v 1 2", "v 1 2 x", "f 1 2", "f 1 2 x", "f 1 2 -900"])
 def test_a_line_that_is_none_is_named(line: str, tmp_path: Path) -> None:
     path = write(tmp_path, X, FACES, naming())
     with (tmp_path / "sleeve.obj").open("a") as file:
@@ -297,12 +305,102 @@ def test_comments_behind_a_line_and_lines_that_go_on(tmp_path: Path) -> None:
         read_garment(path)
 
 
-def test_a_face_of_many_vertices_says_what_to_do(tmp_path: Path) -> None:
-    path = write(tmp_path, X, FACES, naming())
-    with (tmp_path / "sleeve.obj").open("a") as file:
-        file.write("f 1 2 3 4 5\n")
+def rewritten(folder: Path, faces: list[tuple[int, ...]], x: np.ndarray = X, **names: Any) -> Path:
+    """A garment whose mesh has polygons of any number of corners."""
+    path = write(folder, x, FACES, naming(**names))
+    mesh = folder / "sleeve.obj"
+    lines = [line for line in mesh.read_text().splitlines() if line[0] != "f"]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    mesh.write_text("\n".join(lines))
+    return path
+
+
+def test_a_face_of_too_many_vertices_says_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="triangulate faces when you export"):
-        read_garment(path)
+        read_garment(rewritten(tmp_path, [tuple(range(33))]))
+
+
+def outline(*corners: tuple[float, float]) -> np.ndarray:
+    return np.array([(0.0, y, z) for y, z in corners])
+
+
+#: Polygons, each alone a garment of one hole, counter-clockwise, in m, and whether its corners all point outwards.
+POLYGONS = {
+    "a pentagon": outline((0, 0), (0.5, 0), (0.7, 0.3), (0.3, 0.6), (-0.1, 0.3)),
+    "a dart": outline((0, 0), (0.6, 0.4), (0, 0.8), (0.2, 0.4)),
+    "an L": outline((0, 0), (0.6, 0), (0.6, 0.3), (0.3, 0.3), (0.3, 0.6), (0, 0.6)),
+    "corners in a row": outline((0, 0), (0.3, 0), (0.6, 0), (0.6, 0.5), (0.3, 0.5), (0, 0.5)),
+}
+
+
+@pytest.mark.parametrize("begin", range(6))
+@pytest.mark.parametrize("kind", POLYGONS)
+def test_polygons_are_cut_within_their_outline(kind: str, begin: int, tmp_path: Path) -> None:
+    x = np.roll(POLYGONS[kind], begin, axis=0)
+    loops = {"edge": {"hole": 0}}
+    found = read_garment(rewritten(tmp_path, [tuple(range(len(x)))], x, loops=loops))
+    y, z = x[:, 1], x[:, 2]
+    shoelace = 0.5 * float((y * np.roll(z, -1) - z * np.roll(y, -1)).sum())
+    a, b, c = np.moveaxis(found.positions[found.faces], 1, 0)
+    ahead = np.cross(b - a, c - a)[:, 0] / 2
+    assert len(found.faces) == len(x) - 2
+    assert ahead.min() > 0, "no triangle is turned over"
+    assert ahead.sum() == pytest.approx(shoelace)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        ((0, 0), (0.5, 0.5), (0.5, 0), (0, 0.5)),
+        ((0, 0), (0.5, 0.5), (0.4, 0), (0, 0.5), (-0.3, 0.2)),
+    ],
+)
+def test_a_face_that_crosses_itself_is_named(
+    corners: tuple[tuple[float, float], ...], tmp_path: Path
+) -> None:
+    x = outline(*corners)
+    with pytest.raises(FileError, match=r"line \d+: the face 'f 1 2 3 4.*' crosses"):
+        read_garment(rewritten(tmp_path, [tuple(range(len(x)))], x, loops={"edge": {"hole": 0}}))
+
+
+def test_triangles_that_are_said_with_a_corner_twice(tmp_path: Path) -> None:
+    """Programs that know quadrilaterals alone, and those that close each face, write triangles so."""
+    faces = FACES.tolist()
+    for twice in (
+        [f"{a} {b} {c} {c}" for a, b, c in faces],
+        [f"{a} {b} {c} {a}" for a, b, c in faces],
+    ):
+        path = rewritten(tmp_path, [tuple(map(int, face.split())) for face in twice])
+        assert np.array_equal(read_garment(path).faces, FACES)
+
+
+def test_vertices_of_no_face_are_left_out_and_counted(tmp_path: Path) -> None:
+    """Loops and patches count the mesh's vertices as its file has them."""
+    x = np.insert(X, [0, 30, len(X)], [(0.0, 0.0, 9.0), X[3], X[4]], axis=0)
+    kept = np.setdiff1d(np.arange(len(x)), [0, 31, len(x) - 1])
+    loops = {
+        "cuff": {"hole": int(kept[0])},
+        "entrance": {"hole": int(kept[-1])},
+        "middle": kept[LOOPS["middle"]].tolist(),
+    }
+    patches = {"grip": kept[[50, 51]].tolist(), "elbow": {"vertex": int(kept[50]), "radius": 0.03}}
+    found = read_garment(write(tmp_path, x, kept[FACES], naming(loops=loops, patches=patches)))
+    assert np.array_equal(found.positions, X)
+    assert np.array_equal(found.faces, FACES)
+    plain = read_garment(
+        write(tmp_path, X, FACES, naming(patches={"elbow": {"vertex": 50, "radius": 0.03}}))
+    )
+    for name, loop in plain.loops.items():
+        assert np.array_equal(found.loops[name], loop)
+    assert found.patches["grip"].tolist() == [50, 51]
+    assert np.array_equal(found.patches["elbow"], plain.patches["elbow"])
+
+
+@pytest.mark.parametrize("written", ["1e-2", "1E-2", "+1e-02", "1.e-2", ".01"])
+def test_a_unit_may_be_written_with_an_exponent(written: str, tmp_path: Path) -> None:
+    path = write(tmp_path, 100 * X, FACES, naming())
+    path.write_text(path.read_text() + f"unit: {written}\n")
+    assert np.allclose(read_garment(path).positions, X)
 
 
 def test_bytes_that_are_no_text_are_no_mesh(tmp_path: Path) -> None:
@@ -341,7 +439,8 @@ def test_a_pipe_is_not_waited_for(name: str, tmp_path: Path) -> None:
 def test_many_vertices_in_one_place_take_no_memory(tmp_path: Path) -> None:
     """They are some 200 million pairs."""
     x = appended(X, *np.zeros((20_000, 3)))
-    path = write(tmp_path, x, FACES, naming())
+    more = np.arange(len(X), len(x) - 2)[:, None] + (0, 1, 2)
+    path = write(tmp_path, x, np.concatenate([FACES, more]), naming())
     with (
         little_memory(),
         pytest.raises(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from commands import begin_that_stops_writing, kill, wait_for
 from recorded_runs import make_run
 
 from understudy.command.cli import main
+from understudy_export.page import write_page
 from understudy_report.motion import FIGURES, Figures
 
 
@@ -69,6 +71,27 @@ def test_it_goes_on_whatever_a_frame_is_dated(tmp_path: Path, run: Path, browser
     page.close()
 
 
+def test_a_skills_page_says_on_what_terms(
+    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The folder in which a skill was recorded knows nothing of the package that it comes with."""
+    add_figures(run)
+    write_page(str(run), tmp_path / "of_run.html")
+    said = write_page(str(run), tmp_path / "of_skill.html", "chopsticks/standard")
+    assert "licence: Apache-2.0" in said
+    assert "Licence: Apache-2.0" in (tmp_path / "of_skill.html").read_text()
+    assert "CC BY 4.0" in (tmp_path / "of_run.html").read_text()
+
+
+def test_what_has_no_licence_says_none(tmp_path: Path, run: Path) -> None:
+    info = json.loads((run / "run.json").read_text())
+    info["sources"] = {}
+    (run / "run.json").write_text(json.dumps(info))
+    add_figures(run)
+    assert write_page(str(run), tmp_path / "page.html").endswith("6 frames, 0.20 s")
+    assert "Licence:" not in (tmp_path / "page.html").read_text()
+
+
 def test_its_name_ends_as_pages_do(
     tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -86,7 +109,9 @@ def test_its_name_ends_as_pages_do(
 def test_refused(tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "p.html"
     assert main(["export", str(run), str(page)]) == 2
-    assert "has no recording to play: `understudy render" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "has no recording to play: `understudy render" in said
+    assert "if its task has a figure" in said
     assert main(["export", str(run), str(page), "--rate", "30"]) == 2
     assert "--rate is of motions" in capsys.readouterr().err
     assert main(["export", "hop", str(page)]) == 2

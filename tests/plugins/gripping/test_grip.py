@@ -217,9 +217,11 @@ def test_a_run_that_keeps_no_grip_is_refused(tmp_path: Path) -> None:
         _kept(tmp_path, ["grip"])
 
 
-def test_a_missing_file_is_said() -> None:
+def test_a_missing_file_is_said(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"There is no grip at nowhere\.json"):
         load_grip(Path("nowhere.json"))
+    with pytest.raises(FileError, match=r"is no grip: Is a directory\.$"):
+        load_grip(tmp_path)
 
 
 @pytest.mark.parametrize(

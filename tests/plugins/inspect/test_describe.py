@@ -31,6 +31,7 @@ def test_a_learner() -> None:
     assert "learner=spacetime/walk" in text
     assert "arXiv:1707.06347" in text
     assert describe("ppo", installed()) == text
+    assert describe("learner=ppo", installed()) == text
 
 
 @pytest.mark.parametrize(
@@ -201,3 +202,21 @@ def test_several_of_one_name() -> None:
         ConfigError, match=r"^There are several 'bvh': clip_reader/bvh, clip_writer/bvh\.$"
     ):
         describe("bvh", installed())
+
+
+@pytest.mark.parametrize(
+    ("option", "owner"),
+    [
+        ("learner/ppo.gamma", "learner/ppo"),
+        ("budget.samples", "budget"),
+        ("learner.gamma", "learner"),
+    ],
+)
+def test_an_option_is_shown_with_what_it_is_of(option: str, owner: str) -> None:
+    with pytest.raises(ConfigError, match=f"`understudy describe {owner}`"):
+        describe(option, installed())
+
+
+def test_an_experiment_as_it_is_chosen() -> None:
+    text = describe("experiment/spacetime/walk", installed())
+    assert describe("experiment=spacetime/walk", installed()) == text

@@ -157,6 +157,31 @@ def test_a_criterion_has_to_last(place: Path) -> None:
     assert [change(0.0), change(0.1), change(0.3)] == [1, 1, 3]
 
 
+def test_a_stage_may_end_after_a_time(place: Path) -> None:
+    """0.3 s are three periods, whatever the fields of the task."""
+    words = stages(place, place).replace(
+        "{field: first_distance, at_most: 0.3, lasting: 0.0}",
+        "{field: stage_seconds, at_least: 0.299}",
+    )
+    environment = build(words, "num_worlds=2").environment
+    environment.reset()
+    seen = []
+    for _ in range(5):
+        environment.advance(torch.zeros(2, 1))
+        seen.append(environment.table["stage"].tolist())
+    assert [s[0] for s in seen] == [0, 0, 0, 1, 1]
+    assert all(a == b for a, b in seen)
+
+
+def test_a_stage_may_read_what_was_decided_last(place: Path) -> None:
+    """As a run that observes its own last action does; of the same size here, so that it stands for the offset."""
+    words = stages(place, place).replace("offset: second_offset", "offset: stage_action")
+    environment = build(words, "num_worlds=2").environment
+    environment.reset()
+    environment.advance(torch.zeros(2, 1))
+    assert environment.table["stage_action"].shape == (2, 2)
+
+
 def test_endings_are_counted_by_stage(place: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     short = stages(place, place, seconds=0.3)
@@ -180,6 +205,9 @@ def test_endings_are_counted_by_stage(place: Path, tmp_path: Path) -> None:
         (lambda: Until("d"), "without a limit is never done"),
         (lambda: Until("d", at_most=1.0, lasting=-1.0), "lasting"),
         (lambda: Stage("a", Until("d", at_most=1.0), seconds=0.0), "seconds"),
+        (lambda: Until("d", at_least=2.0, at_most=1.0), "at_least=2 is above at_most=1"),
+        (lambda: Until("reward", at_least=2.0), "known only once"),
+        (lambda: Stage("a", Until("d", at_most=1.0, lasting=3.0), seconds=2.0), "is over before"),
         (lambda: Stages.Options(()), "name at least one"),
     ],
 )
@@ -196,7 +224,22 @@ def test_bad_stages_are_one_sentence(
     for change, sentence in (
         (good.replace("first_distance", "first_distanse"), "first_distanse"),
         (good.replace(str(place), str(tmp_path / "none")), "none"),
-        (good.replace("{offset: first_offset}", "{ofset: first_offset}"), "ofset"),
+        (
+            good.replace("{offset: first_offset}", "{ofset: first_offset}"),
+            "actuation.stages[0].reads: ",
+        ),
+        (
+            good.replace("field: first_distance", "field: first_offset"),
+            "actuation.stages[0].until.field=first_offset has the shape [2]",
+        ),
+        (
+            good.replace("offset: second_offset", "offset: second_distance"),
+            "cannot act on fields of these shapes, offset [], ",
+        ),
+        (
+            good.replace("offset: second_offset", "offset: action"),
+            "reads its own last action",
+        ),
     ):
         assert main(["train", "experiment=miniature/in_sequence", change, f"run.dir={run}"]) == 2
         error = capsys.readouterr().err.strip().splitlines()

@@ -53,8 +53,10 @@ def test_figure_and_chair_in_one_file(tmp_path: Path, capsys: pytest.CaptureFixt
     (chair,) = recorded_surroundings(run)
     assert torch.equal(chair.clip.times, learned.times)
     assert main(["export", str(run), str(tmp_path / "out.glb")]) == 0
+    assert "without" not in capsys.readouterr().out
     assert main(["export", str(run), str(tmp_path / "out.bvh")]) == 0  # the figure alone
-    capsys.readouterr()
+    said = capsys.readouterr().out
+    assert "without 1 other body of the scene, which .glb and .gltf files have" in said
     scene = trimesh.load_scene(tmp_path / "out.glb")  # y up, facing z
     figure, seen = scene.geometry.values()
     width, height, depth = seen.extents

@@ -93,6 +93,22 @@ def test_a_journal_that_has_not_moved_is_not_written(tmp_path: Path) -> None:
     assert not (tmp_path / "journal.jsonl").exists()
 
 
+def test_other_programs_can_read_it(tmp_path: Path) -> None:
+    """What no episode measured is null there, since JSON has no NaN, and is NaN again where it is read."""
+    journal = Journal.open(tmp_path / "journal.jsonl")
+    journal.ask(Trial("a"))
+    journal.tell(Report("a", "ok", 1.0, {"f": math.nan, "g": 2.0}))
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    *_, last = (json.loads(line, parse_constant=refuse) for line in journal.path.open())
+    assert last["report"]["measures"] == {"f": None, "g": 2.0}
+    found = Journal.read(journal.path).finished["a"].measures
+    assert math.isnan(found["f"])
+    assert found["g"] == 2.0
+
+
 @pytest.mark.parametrize("run", ["/etc/passwd", "../../victim", "/old/..", "there/../victim", "a"])
 def test_no_run_is_outside_its_sweep_whatever_a_journal_says(run: str, tmp_path: Path) -> None:
     for key, name in (("a", "a"), ("..", "%2E%2E"), ("/etc", "%2Fetc")):

@@ -170,7 +170,12 @@ def load_grip(path: Path) -> Grip:
     except (
         OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError, ConfigError
     ) as error:  # fmt: skip
-        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+        known = (
+            isinstance(error, OSError) and error.strerror
+        )  # without number and path of the system's
+        reason = (
+            f"it has no {error}" if isinstance(error, KeyError) else known or str(error).rstrip(".")
+        )
         raise FileError(f"{path} is no grip: {reason}.") from error
     return grip
 

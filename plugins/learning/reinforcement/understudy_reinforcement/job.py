@@ -19,6 +19,7 @@ from understudy.running.training import Progress
 from understudy.setup.building import Built, build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
+from understudy_reinforcement import promised
 from understudy_reinforcement.collector import Collector
 from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.evaluator import Evaluator
@@ -83,7 +84,7 @@ class Reinforcement(Job):
         success_of(experiment)  # refused now, not when the training comes to its first evaluation
         self.built = built = build_environment(experiment, substeps=self.resolution.substeps)
         self.environment = built.environment
-        observations = self.environment.reset()  # which also checks every term
+        observations = promised.begin(self.environment)
         self.policy = build_policy(experiment, built.context)
         self._readers = self.policy.readers(observations)
         self.learner = experiment.need("learner").build(built.context, self.policy)

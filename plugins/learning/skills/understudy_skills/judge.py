@@ -12,6 +12,7 @@ from understudy.records import runs
 from understudy.records.runs import Run, newest_state
 from understudy.setup.config import Experiment
 from understudy.task import State
+from understudy_reinforcement import promised
 from understudy_reinforcement.job import Reinforcement
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.folder import run_folder
@@ -38,6 +39,8 @@ class Judge(Reinforcement):
         self.options = options
 
     def prepare(self) -> None:
+        # what does not fit is said before the run has a folder, as it is of runs that train
+        promised.begin(self.evaluator.built.environment)
         if self.options.run is None:
             self.policy = build_policy(self.experiment, self.evaluator.built.context)
             return

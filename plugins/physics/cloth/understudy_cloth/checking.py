@@ -18,8 +18,10 @@ def check_mesh(
     faces: np.ndarray,
     what: str,
     error: type[UnderstudyError] = ConfigError,
+    loose: bool = False,
 ) -> None:
-    """Refuse what is no surface of triangles with two sides: `positions` (V, 3), `faces` (F, 3).
+    """Refuse what is no surface of triangles with two sides: `positions` (V, 3), `faces` (F, 3). With `loose` there may
+    be vertices in no triangle.
 
     Raises
     ------
@@ -66,7 +68,7 @@ def check_mesh(
             f"first from vertex {i} to {j}: let all be counter-clockwise seen from outside."
         )
     used = np.bincount(faces.ravel(), minlength=len(positions))
-    if (used == 0).any():
+    if (used == 0).any() and not loose:
         raise error(
             f"{what} has {_count(int((used == 0).sum()), 'vertex', 'vertices')} in no triangle, the first is "
             f"number {np.argmin(used)}: remove them."

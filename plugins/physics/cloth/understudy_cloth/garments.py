@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +29,10 @@ __all__ = ["Garment", "holes_of", "read_garment"]
 MOST_BYTES, MOST_NAMING_BYTES = 64 << 20, 1 << 20
 #: Vertices of a garment; a shirt has some 3 000, and each one more makes every sub-step longer.
 MOST_VERTICES = 30_000
+#: Corners of a face: pieces of a pattern that are one polygon each have no vertices within to bend at.
+MOST_CORNERS = 32
+#: Of a triangle cut from a polygon, twice the area over the longest side squared, at least; 0.87 if all sides are equal.
+_FLAT_EAR = 1e-4
 #: Loops and patches of a garment, together; each one is looked for in the whole mesh.
 MOST_NAMES = 100
 #: Levels of the file that names them, which has three.
@@ -122,9 +127,10 @@ def read_garment(path: Path) -> Garment:
     positions = positions * naming.unit
     if naming.up == "y":
         positions = np.stack([-positions[:, 2], -positions[:, 0], positions[:, 1]], axis=1)
-    _check_size(positions, faces, str(mesh))
-    check_mesh(positions, faces, str(mesh), FileError)
-    pieces = pieces_of(faces, len(positions))
+    used = np.unique(faces)
+    _check_size(positions, used, str(mesh))
+    check_mesh(positions, faces, str(mesh), FileError, loose=True)
+    pieces = pieces_of(np.searchsorted(used, faces), len(used))
     if pieces > 1:
         raise FileError(
             f"{mesh} has {pieces} pieces: a garment is one; sew them together, or remove all but one."
@@ -149,14 +155,27 @@ def read_garment(path: Path) -> Garment:
         name: _patch(patch, positions, faces, f"{path}: patch '{name}'")
         for name, patch in naming.patches.items()
     }
-    return Garment(path.stem, positions, faces, loops, patches, None, naming.source, naming.licence)
+    for name, patch in patches.items():
+        if len(loose := np.setdiff1d(patch, used)):
+            raise FileError(
+                f"{path}: patch '{name}' has vertex {loose[0]}, which is in no triangle."
+            )
+    # programs write points of curves and of what they hid as vertices, too; loops and patches count those
+    faces, *named = (
+        np.searchsorted(used, of) for of in (faces, *loops.values(), *patches.values())
+    )
+    loops = dict(zip(loops, named, strict=False))
+    patches = dict(zip(patches, named[len(loops) :], strict=True))
+    return Garment(
+        path.stem, positions[used], faces, loops, patches, None, naming.source, naming.licence
+    )
 
 
 def _naming(path: Path) -> Naming:
     text = _text(path, MOST_NAMING_BYTES)
     try:
         depth = 0
-        for event in yaml.parse(text, yaml.SafeLoader):
+        for event in yaml.parse(text, _Loader):
             if isinstance(event, yaml.AliasEvent):  # it may stand for itself many times over
                 raise FileError(f"{path} has aliases; write them out.")
             depth += isinstance(event, yaml.CollectionStartEvent)
@@ -165,7 +184,7 @@ def _naming(path: Path) -> Naming:
                 raise FileError(
                     f"{path} is no YAML of a garment: it is nested more than {_DEEPEST} deep."
                 )
-        root = yaml.compose(text, yaml.SafeLoader)
+        root = yaml.compose(text, _Loader)
         names = [
             (key.value, key.start_mark.line + 1) for section in _sections(root) for key in section
         ]
@@ -175,7 +194,7 @@ def _naming(path: Path) -> Naming:
                     f"{path}: {scalar.value} in line {scalar.start_mark.line + 1} is another number to YAML; write it in "
                     "decimals, without zeros before it."
                 )
-        raw = yaml.safe_load(text)
+        raw = yaml.load(text, _Loader)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         reason = str(error).partition("\n")[0]
         raise FileError(f"{path} is no YAML: {reason}.") from error
@@ -190,6 +209,15 @@ def _naming(path: Path) -> Naming:
         return make_options(Naming, raw, path.name)
     except UnderstudyError as error:
         raise FileError(str(error)) from error
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain data, with numbers such as ``1e-2`` as all but the first YAML read them."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[+-]?\d+(\.\d*)?[eE][+-]?\d+$"), list("+-0123456789")
+)
 
 
 #: What YAML takes for a number to the base 8 or 60, and a reader for another one.
@@ -249,7 +277,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) and triangles (F, 3) of an OBJ file, in its order: loops count its vertices. Libraries
-    double those with two normals. What the file refers to is not followed; quadrilaterals become two triangles.
+    double those with two normals. What the file refers to is not followed; other polygons become triangles.
 
     Raises
     ------
@@ -257,7 +285,7 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
         if it cannot be read, or a line is no vertex or face.
     """
     vertices: list[list[float]] = []
-    faces: list[tuple[int, int, int]] = []
+    polygons: list[tuple[int, str, list[int]]] = []
     for number, line in _statements(_text(path, MOST_BYTES)):
         kind, *values = line.split() or ("",)
         try:
@@ -267,34 +295,108 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
                     raise ValueError
             elif kind == "f":
                 corners = [int(value.partition("/")[0]) for value in values]
-                if not 3 <= len(corners) <= 4 or 0 in corners or min(corners) < -len(vertices):
+                if not 3 <= len(corners) <= MOST_CORNERS:
+                    raise ValueError
+                if 0 in corners or min(corners) < -len(vertices):
                     raise ValueError
                 corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
-                faces.append((corners[0], corners[1], corners[2]))
-                if len(corners) == 4:
-                    faces.append((corners[0], corners[2], corners[3]))
+                polygons.append((number, line, corners))
         except ValueError:
-            raise FileError(
-                f"{path}, line {number}: '{line[:60].strip()}' is no "
-                f"{'vertex' if kind == 'v' else 'face of three or four vertices'}"
-                f"{': triangulate faces when you export the mesh' if len(values) > 4 and kind == 'f' else ''}."
-            ) from None
-        if max(len(vertices), len(faces)) > 2 * MOST_VERTICES:
+            raise _no_line(path, number, line, kind, len(values)) from None
+        if max(len(vertices), len(polygons)) > 2 * MOST_VERTICES:
             break
-    if not vertices or not faces:
+    if not vertices or not polygons:
         raise FileError(f"{path} has no {'faces' if vertices else 'vertices'}: it is no mesh.")
-    if len(vertices) > MOST_VERTICES or len(faces) > 2 * MOST_VERTICES:
-        raise FileError(f"{path} has more than {MOST_VERTICES} vertices; make it coarser.")
-    return np.array(vertices), np.array(faces)
+    if len(vertices) <= MOST_VERTICES:
+        faces = list(_cut(path, vertices, polygons))
+        if len(faces) <= 2 * MOST_VERTICES:
+            return np.array(vertices), np.array(faces)
+    raise FileError(f"{path} has more than {MOST_VERTICES} vertices; make it coarser.")
 
 
-def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
+def _no_line(path: Path, number: int, line: str, kind: str, values: int) -> FileError:
+    most = f"three to {MOST_CORNERS} vertices"
+    many = ": triangulate faces when you export the mesh" * (kind == "f" and values > MOST_CORNERS)
+    what = "vertex" if kind == "v" else f"face of {most}"
+    return FileError(f"{path}, line {number}: '{line[:60].strip()}' is no {what}{many}.")
+
+
+def _cut(
+    path: Path, positions: list[list[float]], polygons: Sequence[tuple[int, str, list[int]]]
+) -> Iterator[list[int]]:
+    """The triangles of polygons, each with its line in the file; a corner that is said again next to itself is one,
+    as programs write a triangle where they have quadrilaterals alone."""
+    for number, line, corners in polygons:
+        if max(corners) >= len(positions):
+            raise FileError(f"{path} has a face of vertices that do not exist, in line {number}.")
+        once = [c for k, c in enumerate(corners) if k == 0 or c != corners[k - 1]]
+        if once[-1] == once[0]:
+            once.pop()
+        if len(once) <= 3:
+            yield once if len(once) == 3 else corners[:3]
+            continue
+        triangles = _ears([positions[c] for c in once]) if len(set(once)) == len(once) else None
+        if triangles is None:
+            raise FileError(
+                f"{path}, line {number}: the face '{line[:60].strip()}' crosses or touches itself or has no area: triangulate "
+                "faces when you export the mesh, or remove it."
+            )
+        yield from ([once[k] for k in triangle] for triangle in triangles)
+
+
+def _ears(x: Sequence[Sequence[float]]) -> list[list[int]] | None:
+    """Triangles of one simple polygon of corners `x` (n, 3), nearly flat, by cutting off ears, the fullest first; of
+    a convex quadrilateral those on both sides of the diagonal from its first corner. None if it crosses itself, or
+    has no area."""
+    turns = [_across(x[0], x[k], x[k + 1]) for k in range(1, len(x) - 1)]
+    normal = [sum(axis) for axis in zip(*turns, strict=True)]
+    length = math.hypot(*normal)
+    if length == 0:
+        return None
+    if not length < math.inf:  # coordinates that are not finite are said of the whole mesh
+        return [[0, k, k + 1] for k in range(1, len(x) - 1)]
+
+    def area(i: int, j: int, k: int) -> float:
+        turn = _across(x[i], x[j], x[k])
+        return sum(a * b for a, b in zip(turn, normal, strict=True)) / length
+
+    left, found = list(range(len(x))), []
+    while len(left) > 3:
+        best, most = None, 0.0
+        for at in [*range(1, len(left)), 0]:
+            i, j, k = left[at - 1], left[at], left[(at + 1) % len(left)]
+            longest = max(math.dist(x[i], x[j]), math.dist(x[j], x[k]), math.dist(x[k], x[i]))
+            full = area(i, j, k) / longest**2 if longest else 0.0
+            if full <= max(most, _FLAT_EAR) or any(
+                min(area(i, j, m), area(j, k, m), area(k, i, m)) >= 0
+                for m in left
+                if m not in (i, j, k)
+            ):
+                continue
+            if len(left) == 4 and area(k, left[(at + 2) % 4], i) <= 0:
+                continue  # what it leaves faces the other way
+            best, most = at, full
+            if len(x) == 4:
+                break
+        if best is None:
+            return None
+        found.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
+        del left[best]
+    return [*found, left]
+
+
+def _across(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> tuple[float, ...]:
+    """(b − a) × (c − a)."""
+    (p, q, r), (u, v, w) = (tuple(e - f for e, f in zip(d, a, strict=True)) for d in (b, c))
+    return q * w - r * v, r * u - p * w, p * v - q * u
+
+
+def _check_size(positions: np.ndarray, used: np.ndarray, what: str) -> None:
+    """Refuse vertices of a garment, those of numbers `used`, that are not as far apart as in metres."""
+    positions = positions[used]
     if not np.isfinite(positions).all():
         raise FileError(f"{what} has coordinates that are not finite.")
-    if (faces >= len(positions)).any():
-        raise FileError(f"{what} has a face of vertices that do not exist.")
-    used = positions[np.unique(faces)]
-    across = float((used.max(axis=0) - used.min(axis=0)).max())
+    across = float((positions.max(axis=0) - positions.min(axis=0)).max())
     if not SMALLEST <= across <= LARGEST:
         guess, unit = "if that is not metres", "M"
         for name, by in (("centimetres", 0.01), ("millimetres", 0.001)):
@@ -312,7 +414,7 @@ def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
         i, pairs = int(np.argmax(near > 1)), int((near - 1).sum()) // 2
         j = min(k for k in tree.query_ball_point(positions[i], _SAME) if k != i)
         raise FileError(
-            f"{what} has {pairs} pair{'s' * (pairs > 1)} of vertices in one place, the first {i} and {j}: merge "
+            f"{what} has {pairs} pair{'s' * (pairs > 1)} of vertices in one place, the first {used[i]} and {used[j]}: merge "
             "them, or the cloth is open there."
         )
 

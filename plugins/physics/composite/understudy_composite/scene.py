@@ -43,6 +43,11 @@ class CompositeScene(Scene):
                 "scene 'composite' has no members. Name them: scenes={MEMBER: {name: SCENE, …}, …}."
             )
         names = [one.name for one in chosen]
+        for one in chosen:
+            if isinstance(one.options, CompositeScene.Options):
+                raise ConfigError(
+                    f"scenes.{one.name} is a composite within the composite: name all members in scenes themselves."
+                )
         for name in (*options.steps, *([options.shown] if options.shown else ())):
             if name not in names:
                 raise ConfigError(

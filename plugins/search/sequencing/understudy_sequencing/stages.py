@@ -15,13 +15,17 @@ from understudy_skills.controller import Controller
 
 #: s, for what has no limit: fields are finite.
 _ENDLESS = 1e9
+#: Fields of a decision that is judged already, which no actuation can know.
+_JUDGED = ("failed", "succeeded", "violated", "reward")
+#: What a part does with a tensor of a shape that it was not made for.
+_MISFITS = (RuntimeError, IndexError, ValueError, TypeError)
 
 
 @dataclass(frozen=True)
 class Until:
     """When a stage is done: a field (N,) is within its limits, for so long without a break."""
 
-    field: str  #: that is judged, one number a world
+    field: str  #: that is judged, one number a world; of this part's own, stage_seconds ends a stage after a time
     at_least: float | None = None  #: of it; null: no limit
     at_most: float | None = None  #: of it; null: no limit
     lasting: float = 0.0  #: s, for which it must hold
@@ -30,7 +34,16 @@ class Until:
         check_range(self, "lasting", least=0)
         if self.at_least is None and self.at_most is None:
             raise ValueError(
-                f"until.field={self.field} without a limit is never done: give at_least or at_most."
+                f"field={self.field} without a limit is never done: give at_least or at_most."
+            )
+        low, high = self.at_least, self.at_most
+        if low is not None and high is not None and low > high:
+            raise ValueError(
+                f"at_least={low:g} is above at_most={high:g}, so that the stage is never done: exchange them."
+            )
+        if self.field in _JUDGED:
+            raise ValueError(
+                f"field={self.field} is known only once a decision is judged: name what it is judged by."
             )
 
 
@@ -48,6 +61,11 @@ class Stage:
     def __post_init__(self) -> None:
         if self.seconds is not None:
             check_range(self, "seconds", above=0)
+            if self.until.lasting > self.seconds:
+                raise ValueError(
+                    f"seconds={self.seconds:g} is over before until.lasting={self.until.lasting:g} can be: give the stage "
+                    "more seconds."
+                )
 
 
 class Stages(Actuation):
@@ -87,9 +105,15 @@ class Stages(Actuation):
             for name in one.reads:
                 if name not in controller.reads:
                     raise ConfigError(
-                        f"actuation.stages.{number}.reads: {one.run} reads no field '{name}'."
+                        f"actuation.stages[{number}].reads: {one.run} reads no field '{name}'."
                         + suggestion(name, controller.reads)
                     )
+            if "action" in {one.reads.get(name, name) for name in controller.reads}:
+                raise ConfigError(
+                    f"actuation.stages[{number}]: {one.run} reads its own last action, and this task's says nothing. Set "
+                    f"actuation.stages[{number}].reads={{action: stage_action}} if all stages have as many actions."
+                )
+        self._unchecked = True
         self.action_space: ActionSpace = box(1)
         self._sizes = [controller.action_size for controller in self._controllers]
         self._dt, device = context.control_dt, context.device
@@ -122,6 +146,9 @@ class Stages(Actuation):
         return torch.zeros(self._n, *shape, device=self._device)
 
     def begin(self, **fields: Tensor) -> dict[str, Tensor]:
+        if self._unchecked:
+            self._check(fields)
+            self._unchecked = False
         nothing = self._zeros()
         return {
             "stage": nothing,
@@ -132,6 +159,25 @@ class Stages(Actuation):
             "stage_age": nothing,
             "stage_action": self._zeros(max(self._sizes)),
         }
+
+    def _check(self, fields: Mapping[str, Tensor]) -> None:
+        """Refuse stages that are judged by fields of several numbers, or read some of other shapes than their run's."""
+        for number, stage in enumerate(self._stages):
+            where, shape = f"actuation.stages[{number}]", tuple(fields[stage.until.field].shape[1:])
+            if shape:
+                raise ConfigError(
+                    f"{where}.until.field={stage.until.field} has the shape {list(shape)}: name a field of one number, "
+                    "such as a distance."
+                )
+            taken, controller = self._fields_of(number, fields), self._controllers[number]
+            try:
+                controller.control(controller.decide(taken), taken)
+            except _MISFITS as error:
+                shapes = ", ".join(f"{k} {list(v.shape[1:])}" for k, v in taken.items())
+                raise ConfigError(
+                    f"{where}: {stage.run} cannot act on fields of these shapes, {shapes}: name others of this task in "
+                    f"{where}.reads."
+                ) from error
 
     def advance(
         self,
@@ -145,6 +191,17 @@ class Stages(Actuation):
         **fields: Tensor,
     ) -> dict[str, Tensor]:
         fresh = episode_step == 0
+        # nothing has been done before the first period
+        passed = torch.where(fresh, 0.0, self._dt)
+        fields = {
+            **fields,
+            "stage": stage,
+            "stage_seconds": stage_seconds + passed,
+            "stage_lasted": stage_lasted,
+            "stage_age": stage_age,
+            "stage_action": stage_action,
+            "episode_step": episode_step,
+        }
         at = self._number(stage)
         holds = torch.zeros_like(fresh)
         lasting = torch.zeros_like(stage)
@@ -157,8 +214,6 @@ class Stages(Actuation):
                 here = here & (value <= until.at_most)
             holds = torch.where(at == number, here, holds)
             lasting = torch.where(at == number, until.lasting, lasting)
-        # nothing has been done before the first period
-        passed = torch.where(fresh, 0.0, self._dt)
         lasted = torch.where(holds & ~fresh, stage_lasted + passed, 0.0)
         done = holds & ~fresh & (lasted >= lasting - 0.5 * self._dt)
         stage = stage + done
@@ -183,6 +238,7 @@ class Stages(Actuation):
 
     def control(self, action: Tensor, stage: Tensor, stage_action: Tensor, **fields: Tensor) -> Tensor:  # fmt: skip
         acting = self._number(stage).clamp(max=len(self._stages) - 1)
+        fields = {**fields, "stage": stage, "stage_action": stage_action}
         found: Tensor | None = None
         for number, size in enumerate(self._sizes):
             own = self._controllers[number].control(

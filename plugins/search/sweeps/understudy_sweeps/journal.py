@@ -175,7 +175,10 @@ def _row(event: Trial | Report) -> str:
         row = {"event": "asked", "trial": dataclasses.asdict(event)}
     else:
         kind = "finished" if event.final else "reported"
-        row = {"event": kind, "report": dataclasses.asdict(event)}
+        report = dataclasses.asdict(event)
+        # of what no episode measured; JSON has no NaN, and a row that has one is none to other programs
+        report["measures"] = {k: None if math.isnan(v) else v for k, v in event.measures.items()}
+        row = {"event": kind, "report": report}
     return json.dumps(row) + "\n"
 
 
@@ -200,6 +203,8 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
 
 def _report(row: Mapping[str, Any]) -> Report:
     report = Report(**row)
+    measures = {k: math.nan if v is None else v for k, v in report.measures.items()}
+    report = dataclasses.replace(report, measures=measures)
     _check_name(report.key)
     _check(str, report.status, report.run, report.outcome)
     _check_numbers(report.measures.values())

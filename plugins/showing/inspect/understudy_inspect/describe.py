@@ -52,6 +52,8 @@ def describe(name: str, plugins: Plugins) -> str:
         if there is no such part, or several.
     """
     registry = plugins.registry
+    chosen, _, value = name.partition("=")  # as it is typed to choose it: learner=ppo
+    name = f"{chosen}/{value}" if value and "/" not in chosen else name
     kind, _, rest = name.partition("/")
     if (group := _group(name, plugins)) is not None:
         options = _table(name, options_of(group), sentences(group))
@@ -68,6 +70,11 @@ def describe(name: str, plugins: Plugins) -> str:
     if found:
         raise ConfigError(
             f"There are several '{name}': " + ", ".join(f"{k}/{n}" for k, n in found) + "."
+        )
+    owner, _, option = name.rpartition(".")  # as it is typed to set it: budget.samples
+    if option and (owner in typed or _group(owner, plugins) is not None):
+        raise ConfigError(
+            f"'{name}' is no part. Options stand with what they are of: `understudy describe {owner}`."
         )
     if kind in registry.kinds:
         if not rest:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -144,7 +145,14 @@ class Export(Command):
         if Path(options.source).is_dir() and options.unit is not None:
             figures = [replace(f, clip=_in_unit(f.clip, options)) for f in figures]
         write_figures(figures, options.destination, registry)
-        print(_summary(clip, options.destination, character))
+        line = _summary(clip, options.destination, character)
+        if (
+            not _with_surroundings(options)
+            and _learned(options)
+            and (left := _left_out(options.source))
+        ):
+            line += f" · without {left} of the scene, which {' and '.join(WITH_SURROUNDINGS)} files have"
+        print(line)
         return 0
 
 
@@ -152,7 +160,7 @@ def _page(options: argparse.Namespace) -> int:
     _refuse_options(options, "shows all that was recorded")
     from understudy_export.page import write_page
 
-    print(write_page(options.source, options.destination))
+    print(write_page(options.source, options.destination, options.made))
     return 0
 
 
@@ -186,8 +194,20 @@ def _policy(options: argparse.Namespace) -> int:
 
 def _with_surroundings(options: argparse.Namespace) -> bool:
     """Of runs, into files that hold several motions: the chair that the figure sits on, say."""
-    learned = Path(options.source).is_dir() and not options.reference
-    return learned and options.destination.suffix.lower() in WITH_SURROUNDINGS
+    return _learned(options) and options.destination.suffix.lower() in WITH_SURROUNDINGS
+
+
+def _learned(options: argparse.Namespace) -> bool:
+    """Whether it is of a run, and what that learned rather than what from."""
+    return Path(options.source).is_dir() and not options.reference
+
+
+def _left_out(source: str) -> str:
+    """How many bodies of a run's scene a file of one figure lacks, or nothing."""
+    with contextlib.suppress(FileError):  # a figure of which the rest was not recorded
+        if count := len(recorded_surroundings(source)):
+            return f"{count} other bod{'y' if count == 1 else 'ies'}"
+    return ""
 
 
 def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:

@@ -1,0 +1,85 @@
+"""What parts make of the fields that they read, tried before a training: said in a sentence that names the part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy_reinforcement import promised
+
+
+def go(*words: str) -> Environment:
+    return build_environment(
+        load_experiment(["experiment=miniature/go", "num_worlds=4", *words])
+    ).environment
+
+
+def shifted(distance: Tensor) -> Tensor:
+    return distance.add_(100.0)
+
+
+def with_reward(function: Callable[..., Any]) -> Environment:
+    """The task with a reward of a plugin's own, which reads the distance."""
+    environment = go()
+    first, *others = environment.parts.rewards
+    changed = replace(first, function=function, reads={"distance": "distance"}, options={})
+    environment.parts.rewards = [changed, *others]
+    return environment
+
+
+@pytest.mark.parametrize(
+    ("function", "sentence"),
+    [
+        (shifted, "writes into the field 'distance', which others read"),
+        (lambda distance: None, "returns a NoneType: it must return a tensor"),
+        (lambda distance: distance.numpy(), "returns a ndarray: it must return a tensor"),
+        (lambda distance: 1.0, "returns a float: it must return a tensor"),
+    ],
+)
+def test_a_part_that_keeps_no_promise_is_named(function: Callable[..., Any], sentence: str) -> None:
+    environment = with_reward(function)
+    where = environment.parts.rewards[0].where
+    with pytest.raises(ConfigError, match=sentence) as refused:
+        promised.begin(environment)
+    assert str(refused.value).startswith(where)
+
+
+def test_what_a_part_raises_of_itself_is_its_own() -> None:
+    def broken(distance: Tensor) -> Tensor:
+        raise KeyError("a defect")
+
+    with pytest.raises(KeyError, match="a defect"):
+        promised.begin(with_reward(broken))
+
+
+def test_fields_of_another_shape_are_the_users(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    reads = "encoder.state.reads={offset: distance}"
+    assert main(["train", "experiment=miniature/go", reads, f"run.dir={run}"]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "encoder.state cannot use what its reads gives it: distance []." in said
+    assert not run.exists()
+
+
+def test_it_begins_as_a_reset_does() -> None:
+    """Trying the parts changes nothing of what follows."""
+    seen = []
+    for begin in (Environment.reset, promised.begin):
+        environment = go("seed=3")
+        first = begin(environment)["state"].clone()
+        step = environment.step(torch.full_like(environment.action, 0.3))
+        seen.append(torch.cat([first, step.observations["state"], step.rewards[:, None]], dim=1))
+    assert torch.equal(*seen)
