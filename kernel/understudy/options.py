@@ -6,6 +6,7 @@ One declaration serves the command line, the checks and the error messages.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import math
 import re
@@ -41,14 +42,17 @@ class Option:
 
 
 REQUIRED: Any = inspect.Parameter.empty
+_hints = functools.lru_cache(1024)(typing.get_type_hints)  # of dataclasses, asked for often
 
 
-class Typed:
+class Typed(types.SimpleNamespace):
     """A number or a truth value of which its value does not say how it was typed: ``1e3``,
     ``0012``, ``on``. An option that takes text makes that its value."""
 
-    def __init__(self, value: Any, text: str) -> None:
-        self.value, self.text = value, text
+    __hash__ = object.__hash__  # type: ignore[assignment] - it may be a key
+
+    def __init__(self, value: Any = None, text: str = "") -> None:
+        super().__init__(value=value, text=text)
 
     def __repr__(self) -> str:
         return self.text
@@ -62,13 +66,12 @@ def options_of(factory: Any) -> dict[str, Option]:
     """
     schema = schema_of(factory)
     if schema is not None:
-        hints = typing.get_type_hints(schema)
         result = {}
         for item in dataclasses.fields(schema):
             none, make = dataclasses.MISSING, item.default_factory
             default: Any = item.default if make is none else make()
             default = REQUIRED if default is none else default
-            result[item.name] = Option(item.name, hints[item.name], default)
+            result[item.name] = Option(item.name, _hints(schema)[item.name], default)
         return result
     if inspect.isclass(factory):
         return {}
@@ -254,7 +257,7 @@ def filled(schema: type, checked: Mapping[str, Any], where: str) -> Any:
     try:
         return schema(**checked)
     except ValueError as error:  # a dataclass's own range checks; they begin with the option's name
-        raise ConfigError(f"{_below(where)}{error}") from error
+        raise ConfigError(f"{where and where + '.'}{error}") from error
 
 
 def check_range(
@@ -289,10 +292,6 @@ def check_range(
 MANY = 10**6
 
 
-def _below(where: str) -> str:
-    return f"{where}." if where else ""
-
-
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
@@ -305,9 +304,9 @@ def checked_options(
     result = {}
     for name, option in options.items():
         if name in values:
-            result[name] = coerce(values[name], option.annotation, f"{_below(where)}{name}")
+            result[name] = coerce(values[name], option.annotation, f"{where and where + '.'}{name}")
         elif option.default is REQUIRED:
-            raise ConfigError(f"{_below(where)}{name} is not set. Give it a value.")
+            raise ConfigError(f"{where and where + '.'}{name} is not set. Give it a value.")
         else:
             result[name] = option.default
     return result

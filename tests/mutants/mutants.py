@@ -808,22 +808,22 @@ MUTANTS = (
     Mutant(
         "what was merged of files that changed is merged anew",
         f"{KERNEL}/setup/option_files.py",
-        "if not config or any(files._state(name) != state for name, state in states.items()):",
-        "if not config:",
+        "if not merged or any(files._state(name) != state for name, state in states.items()):",
+        "if not merged:",
         "tests/kernel/setup/test_option_files.py -k composed_anew",
     ),
     Mutant(
         "what was merged is not what is handed out",
         f"{KERNEL}/setup/option_files.py",
-        "copy.deepcopy(config)",
-        "config",
+        "pickle.loads(merged)",
+        "vars(compose).setdefault(key, pickle.loads(merged))",
         "tests/kernel/setup/test_option_files.py -k composed_anew",
     ),
     Mutant(
         "a composition changes no file of options that is kept",
         f"{KERNEL}/setup/option_files.py",
-        "copy.deepcopy(found[0])",
-        "found[0]",
+        "pickle.loads(found[0])",
+        "vars(parsed).setdefault(found[0], pickle.loads(found[0]))",
         "tests/kernel/setup/test_option_files.py -k handed_out",
     ),
     Mutant(

@@ -106,20 +106,15 @@ def _text(name: str) -> str:
     return (plugins.kernel_conf() / name).read_text(encoding="utf-8")
 
 
-def _instead(word: str) -> str:
-    """What to write here in place of Hydra's own option `word`; empty where it is none."""
-    lines = (line.partition(": ") for line in _text("hydra.txt").splitlines())
-    return next((advice for options, _, advice in lines if word in options.split()), "")
-
-
 def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
     """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
     for word, following in zip(words, [*words, ""][1:], strict=True):
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
             raise ConfigError(f"'{word}' is not taken here. See `understudy {command} --help`.")
-        if instead := _instead(word.partition("=")[0]):
-            raise ConfigError(f"{word} is Hydra's own. {instead}")
+        for line in _text("hydra.txt").splitlines():  # what to write in place of its own options
+            if word.partition("=")[0] in line.partition(": ")[0].split():
+                raise ConfigError(f"{word} is Hydra's own. {line.partition(': ')[2]}")
         if word.startswith("-"):
             if not value and "=" not in following:
                 value = following

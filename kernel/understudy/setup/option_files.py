@@ -8,10 +8,10 @@ logging to the seven that a composition needs, and throws them away.
 from __future__ import annotations
 
 import contextlib
-import copy
 import dataclasses
 import functools
 import os
+import pickle
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from stat import S_ISREG
@@ -19,10 +19,10 @@ from typing import Any
 
 import yaml
 from hydra import version
+from hydra._internal import defaults_list as defaults
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
-from hydra._internal.defaults_list import DefaultsList, Overrides, create_defaults_list
 from hydra.core.default_element import ResultDefault
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -37,13 +37,17 @@ __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
 #: A file's path, time of change, size and number.
 State = tuple[str, int, int, int]
-#: What was read: which files a file builds on, and what else it says.
-_read: dict[State, tuple[ConfigResult, dict[str, Any]]] = {}
+#: What was read: which files a file builds on, pickled, and what else it says.
+_read: dict[State, tuple[bytes, dict[str, Any]]] = {}
 #: What was merged, by folders, overrides that choose files and groups of their own: the files that
-#: were asked for, and it.
-_merged: dict[tuple[str | None, ...], tuple[dict[str, State | None], DictConfig]] = {}
+#: were asked for, and it, pickled, since a copy is slower by far.
+_merged: dict[tuple[str | None, ...], tuple[dict[str, State | None], bytes]] = {}
 #: Stands before a number in a word of the command line, whose text is to be kept beside its value.
 MARK = "\ue000"
+_gather = defaults._create_interpolation_map  # for ``${…}``; Hydra does so for every file
+defaults._create_interpolation_map = lambda overrides, chosen, own: (
+    _gather(overrides, chosen, own) if "${" in str([*map(vars, chosen)]) else None
+)
 
 
 @functools.lru_cache(1024)
@@ -69,14 +73,20 @@ class OptionFiles(ConfigRepository):
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
+        self.folders = {source.path: {*os.listdir(source.path)} for source in self.sources}
         self.states: dict[str, State | None] = {}  #: by name, of all files that were asked for
 
     def group_exists(self, config_path: str) -> bool:
-        return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
+        return any(os.path.isdir(os.path.join(f, config_path)) for f in self._with(config_path))
+
+    def _with(self, config_path: str) -> list[str]:  # to ask every folder takes long
+        first = config_path.partition("/")[0]
+        file, odd = f"{first}.yaml", not first.isidentifier()
+        return [f for f, has in self.folders.items() if first in has or file in has or odd]
 
     def load_config(self, config_path: str) -> ConfigResult | None:
         found = self._found(config_path)
-        return found and copy.deepcopy(found[0])  # Hydra changes what it is given
+        return found and pickle.loads(found[0])  # Hydra changes what it is given
 
     def content(self, default: ResultDefault) -> dict[str, Any]:
         """What the file of that choice says, at the place where it is put."""
@@ -85,7 +95,7 @@ class OptionFiles(ConfigRepository):
             content = {key: content} if key not in ("", "_global_") else content
         return content
 
-    def _found(self, config_path: str) -> tuple[ConfigResult, dict[str, Any]] | None:
+    def _found(self, config_path: str) -> tuple[bytes, dict[str, Any]] | None:
         state = self.states[config_path] = self.states.get(config_path) or self._state(config_path)
         if state and state not in _read:
             text = Path(state[0]).read_text(encoding="utf-8-sig")
@@ -97,16 +107,17 @@ class OptionFiles(ConfigRepository):
             if not isinstance(content, dict):
                 raise ConfigError(f"{state[0]} is no mapping of keys to values. Write KEY: VALUE.")
             chosen = OmegaConf.create({"defaults": plain(content.pop("defaults", []))})
-            named = self._extract_defaults_list(config_path, chosen)
-            defaults = self._create_defaults_list(config_path, named)
+            named: Any = self._extract_defaults_list(config_path, chosen)
+            named = self._create_defaults_list(config_path, named)
             header = ConfigSource._get_header_dict(text[:512])
-            _read[state] = ConfigResult("understudy", state[0], chosen, header, defaults), content
+            found = ConfigResult("understudy", state[0], chosen, header, named)
+            _read[state] = pickle.dumps(found), content
         return _read[state] if state else None
 
     def _state(self, config_path: str) -> State | None:
         """The first file of that name, and what changes when its content does."""
-        for source in self.sources:
-            file = os.path.join(source.path, f"{config_path.removesuffix('.yaml')}.yaml")
+        for folder in self._with(config_path):
+            file = os.path.join(folder, f"{config_path.removesuffix('.yaml')}.yaml")
             with contextlib.suppress(OSError, ValueError):  # no file, or what none can be named
                 found = os.stat(file)
                 if S_ISREG(found.st_mode):
@@ -114,10 +125,10 @@ class OptionFiles(ConfigRepository):
         return None
 
 
-def choices(files: OptionFiles, overrides: Sequence[str]) -> DefaultsList:
+def choices(files: OptionFiles, overrides: Sequence[str]) -> defaults.DefaultsList:
     """The files that ``config.yaml`` and `overrides` choose, and which overrides set values."""
     version.setbase("1.3")
-    return create_defaults_list(
+    return defaults.create_defaults_list(
         files, "config", [parsed(o) for o in overrides], prepend_hydra=False, skip_missing=False
     )
 
@@ -133,19 +144,19 @@ def compose(
     """
     files = OptionFiles(folders)
     read = [parsed(override) for override in overrides]
-    values = Overrides(files, read).config_overrides
+    values = defaults.Overrides(files, read).config_overrides
     chosen = (o.input_line for o in read if o not in values)
     key = (*(s.path for s in files.sources), None, *chosen, None, *sorted(own))
-    states, config = _merged.get(key, ({}, None))
-    if not config or any(files._state(name) != state for name, state in states.items()):
+    states, merged = _merged.get(key, ({}, b""))
+    if not merged or any(files._state(name) != state for name, state in states.items()):
         content: dict[str, Any] = {}
         for default in choices(files, overrides).defaults:
             others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
             said = files.content(default)
             content = _laid(content, {k: v for k, v in said.items() if k not in others})
         config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
-        _merged[key] = files.states, config
-    config = copy.deepcopy(config)
+        _merged[key] = files.states, (merged := pickle.dumps(config))
+    config = pickle.loads(merged)
     for override in values:
         value = each(override.value(), _number)
         if isinstance(value, Mapping) and "name" in value and not override.is_delete():

@@ -161,18 +161,13 @@ def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> Non
         if not hooked or "REQUIRES" in dir(module):  # else its constants may be its own
             register.tables(module)
         manager.hook.understudy_register(register=register)
-        plugins.loaded.append(replace(plugin, config_directory=_conf(module)))
+        file, package = getattr(module, "__file__", None), getattr(module, "__package__", "")
+        conf = Path(file if file and package else os.devnull).parent / "conf"  # beside a package's
+        plugins.loaded.append(replace(plugin, config_directory=conf if conf.is_dir() else None))
     except BaseException as error:  # a stranger's import, or registration, may raise anything
         if is_stop(error):
             raise
         _isolate(plugins, plugin, error)
-
-
-def _conf(module: Any) -> Path | None:
-    """The folder ``conf`` beside a module of a package, if there is one."""
-    file = getattr(module, "__file__", None)
-    beside = Path(file).parent / "conf" if file and getattr(module, "__package__", "") else None
-    return beside if beside and beside.is_dir() else None
 
 
 def kernel_conf() -> Path:

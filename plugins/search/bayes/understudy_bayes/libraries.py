@@ -5,13 +5,14 @@ try:
     from botorch.fit import fit_gpytorch_mll
     from botorch.generation.gen import gen_candidates_scipy
     from botorch.models import SingleTaskGP
+    from botorch.models.utils import gpt_posterior_settings
     from botorch.models.utils.gpytorch_modules import get_covar_module_with_dim_scaled_prior
     from gpytorch.constraints import GreaterThan
     from gpytorch.kernels import Kernel, ProductKernel, RBFKernel
     from gpytorch.means import ConstantMean, Mean
     from gpytorch.mlls import ExactMarginalLogLikelihood
     from gpytorch.priors import LogNormalPrior, NormalPrior
-    from gpytorch.settings import debug
+    from gpytorch.settings import debug, max_eager_kernel_size, min_variance
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -34,4 +35,7 @@ __all__ = [
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
+    "gpt_posterior_settings",
+    "max_eager_kernel_size",
+    "min_variance",
 ]

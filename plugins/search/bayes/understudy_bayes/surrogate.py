@@ -29,6 +29,9 @@ from understudy_bayes.libraries import (
     debug,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
+    gpt_posterior_settings,
+    max_eager_kernel_size,
+    min_variance,
 )
 from understudy_bayes.space import Space
 
@@ -109,7 +112,7 @@ class Surrogate:
                 outcome_transform=None,
             )
             self._fit()
-        self._model.eval()
+        self._model.eval().requires_grad_(False)
 
     def _fit(self) -> None:
         model = self._model
@@ -136,12 +139,29 @@ class Surrogate:
     def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
         fidelities `z` (m,)."""
-        with debug(False):
-            found = self._model.posterior(_joined(self._taken(x), z))
-            mean, variance = found.mean, found.variance
+        at = _joined(self._taken(x), z)
+        known: Any = self._model.prediction_strategy
+        most: Any = max_eager_kernel_size.value()
+        least: Any = min_variance.value(at.dtype)
+        with debug(False), gpt_posterior_settings():
+            if known is None or len(at) + len(self._x) > most:
+                found = self._model.posterior(at)
+                mean, variance = found.mean.squeeze(-1), found.variance.squeeze(-1)
+            else:  # the same numbers, without what goes round them and takes most of the time
+                between = self._covariance(at, self._x)
+                mean = known.exact_predictive_mean(self._model.mean_module(at), between)
+                left = known.exact_predictive_covar(self._covariance(at, at), between)
+                variance = left.diagonal(dim1=-1, dim2=-2).clamp_min(least)
         assert isinstance(mean, Tensor)
         assert isinstance(variance, Tensor)
-        return mean.squeeze(-1), variance.squeeze(-1).clamp(min=1e-12).sqrt()
+        return mean, variance.clamp(min=1e-12).sqrt()
+
+    def _covariance(self, one: Tensor, other: Tensor) -> Tensor:
+        """k (n, m) between the points (n, d + 1) and (m, d + 1), in the order in which ProductKernel takes them."""
+        d = self._d
+        return self._space.forward(one[:, :d], other[:, :d]) * self._fidelity.forward(
+            one[:, d:], other[:, d:]
+        )
 
     def correlation(self, x: Tensor, z: Tensor, xs: Tensor, zs: Tensor) -> Tensor:
         """k((x, z), (x_i, z_i)) (n,) of one place `x` (d,), `z` () with `xs` (n, d), `zs` (n,)."""
