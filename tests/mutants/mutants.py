@@ -208,7 +208,7 @@ MUTANTS = (
     Mutant("a table of another form", REGISTRY, "except (AttributeError, TypeError, ValueError) as error:", "except ZeroDivisionError as error:",
            f"{F23} -k test_tables"),
     Mutant("a table that is none", REGISTRY, "if meant and isinstance(getattr(module, name), Mapping):", "if False:", f"{F23} -k test_tables"),
-    Mutant("another's options beside a module", PLUGINS, 'if file and getattr(module, "__package__", "") else None', "if file else None",
+    Mutant("another's options beside a module", PLUGINS, "if file and package else os.devnull", "if file else os.devnull",
            "tests/kernel/setup/test_plugin_tables.py"),
     Mutant("a hook that is none", PLUGINS, "if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):", "if False:",
            f"{F23} -k none"),

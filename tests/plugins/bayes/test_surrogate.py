@@ -61,6 +61,19 @@ def test_without_fidelities_it_is_botorchs() -> None:
 
 
 @pytest.mark.parametrize("kernel", ["se", "matern"])
+def test_few_points_have_the_posterior_and_the_slopes_that_botorch_finds(kernel: str) -> None:
+    """To the bit; the first are BoTorch's own, which remembers from then on what the trials gave."""
+    options = SurrogateOptions(kernel=kernel, slope=1.0)  # type: ignore[arg-type]
+    model, found = Surrogate(options, smooth()), []
+    for _ in range(2):
+        x = draws.many(2, 2, 2, 8).double().requires_grad_()
+        mean, deviation = model.posterior(x, torch.full((8,), 0.7, dtype=torch.float64))
+        (slopes,) = torch.autograd.grad((mean + deviation).sum(), x)
+        found.append(torch.cat([mean, deviation, slopes.flatten()]))
+    assert torch.equal(*found)
+
+
+@pytest.mark.parametrize("kernel", ["se", "matern"])
 def test_the_kernel_is_a_product(kernel: str) -> None:
     """k((x, z), (x', z')) = k(x, x') k_SE(z, z'), eq. 6.2."""
     model = Surrogate(SurrogateOptions(kernel=kernel), smooth())  # type: ignore[arg-type]
