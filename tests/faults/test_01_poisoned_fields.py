@@ -36,7 +36,7 @@ PLUGINS = parts_and_tasks.bundled()
 EXPERIMENTS = [name for name in parts_and_tasks.options(PLUGINS, "experiment") if "/_" not in name]
 FAMILIES = sorted({name.partition("/")[0] for name in EXPERIMENTS})
 #: The second decision's numbers are wrong; the third is there to spread them.
-N, BAD, STEPS = 6, 2, 3
+N, BAD, STEPS = 4, 2, 3
 OTHERS = torch.arange(N) != BAD
 VALUES = {"nan": float("nan"), "inf": float("inf"), "1e12": 1e12}
 #: Of what stands for the simulator's own memory.
@@ -73,7 +73,7 @@ def experiment_of(name: str, runs: Path | None) -> Experiment:
     members = [m.name for m in found.many("simulators") if m.component.name == "mujoco_warp"]
     if members:  # of a composite; its cloth takes nearly all of the time
         overrides += [f"simulators.{name}={{name: mujoco}}" for name in members]
-        overrides += ["scene.steps.cloth=1", "scenes.cloth.substeps=2", "control.decision=2"]
+        overrides += ["scene.steps.cloth=1", "scenes.cloth.substeps=2", "control.decision=1"]
         found = load_experiment(overrides, PLUGINS)
     begins = found.one("initial_states")
     if begins and getattr(begins.options, "plans", 0) > N:  # as many as worlds; each takes its time

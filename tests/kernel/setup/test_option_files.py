@@ -157,3 +157,13 @@ def test_a_choice_may_follow_another(tmp_path: Path) -> None:
         assert found.other.x == other
         plain = OmegaConf.to_container(found)
         assert plain == OmegaConf.to_container(hydras([tmp_path, tmp_path], overrides))
+
+
+def test_a_default_may_be_named_by_another_groups_choice(tmp_path: Path) -> None:
+    for group in ("one", "other"):
+        (tmp_path / group).mkdir()
+        for name, value in (("a", 1), ("b", 2)):
+            (tmp_path / group / f"{name}.yaml").write_text(f"x: {value}\n")
+    (tmp_path / "config.yaml").write_text("defaults: [one: a, other: '${one}', _self_]\n")
+    assert compose([tmp_path], []).other.x == 1
+    assert compose([tmp_path], ["one=b"]).other.x == 2
