@@ -73,7 +73,9 @@ def experiment_of(name: str, runs: Path | None) -> Experiment:
     members = [m.name for m in found.many("simulators") if m.component.name == "mujoco_warp"]
     if members:  # of a composite; its cloth takes nearly all of the time
         overrides += [f"simulators.{name}={{name: mujoco}}" for name in members]
-        overrides += ["scene.steps.cloth=1", "scenes.cloth.substeps=2", "control.decision=1"]
+        overrides += ["scene.steps.cloth=1", "control.decision=1"]
+        if any(hasattr(scene.options, "substeps") for scene in found.many("scenes")):
+            overrides.append("scenes.cloth.substeps=2")  # while a garment is put on
         found = load_experiment(overrides, PLUGINS)
     begins = found.one("initial_states")
     if begins and getattr(begins.options, "plans", 0) > N:  # as many as worlds; each takes its time

@@ -194,7 +194,7 @@ def _naming(path: Path) -> Naming:
                     f"{path}: {scalar.value} in line {scalar.start_mark.line + 1} is another number to YAML; write it in "
                     "decimals, without zeros before it."
                 )
-        raw = yaml.load(text, _Loader)
+        raw = _Loader(text).get_single_data()
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         reason = str(error).partition("\n")[0]
         raise FileError(f"{path} is no YAML: {reason}.") from error
