@@ -17,7 +17,7 @@ from understudy.setup.composition import load_experiment
 from understudy.testing.capture import check_capturable
 from understudy.testing.conformance import check_environment
 from understudy_cloth.checking import check_mesh
-from understudy_dressing.skirt import SkirtScene
+from understudy_dressing.skirt import SkirtScene, around, cone
 from understudy_tensors import rotations
 
 WALK = ("num_worlds=2", "initial_states=characters/reference_states", "policy.feedback.hidden=[8]")
@@ -39,10 +39,10 @@ def at_the_root(environment: Environment, local: torch.Tensor) -> torch.Tensor:
 
 
 def test_a_skirt_is_a_sound_cone_of_the_size_asked_for() -> None:
-    scene = SkirtScene(SkirtScene.Options(waist=0.9, hem=1.8, length=0.4, edge=0.05))
-    points, faces = scene.mesh
+    options = SkirtScene.Options(waist=0.9, hem=1.8, length=0.4, edge=0.05)
+    points, faces = cone(options)
     check_mesh(points, faces, "the skirt")
-    rows = points.reshape(-1, scene.around, 3)
+    rows = points.reshape(-1, around(options), 3)
     for row, perimeter in ((rows[0], 0.9), (rows[-1], 1.8)):
         sides = np.linalg.norm(np.roll(row, -1, axis=0) - row, axis=1)
         assert sides.sum() == pytest.approx(perimeter, rel=0.01)
@@ -57,8 +57,8 @@ def test_it_begins_around_the_one_who_wears_it_and_moves_with_them(
     environment: Environment,
 ) -> None:
     environment.reset(seed=3)
-    scene = SkirtScene(SkirtScene.Options(edge=0.1))
-    local = torch.tensor(scene.mesh[0], dtype=torch.float32)
+    options = SkirtScene.Options(edge=0.1)
+    local = torch.tensor(cone(options)[0], dtype=torch.float32)
     before = environment.table["cloth_position"].clone()
     torch.testing.assert_close(before, at_the_root(environment, local), atol=1e-4, rtol=0)
     # as fast as a rigid body that moves as the root does: a small step of the root by its velocity
@@ -81,15 +81,15 @@ def test_it_begins_around_the_one_who_wears_it_and_moves_with_them(
 
 def test_it_hangs_from_the_waist_in_folds(environment: Environment) -> None:
     environment.reset(seed=3)
-    scene = SkirtScene(SkirtScene.Options(edge=0.1))
-    local = torch.tensor(scene.mesh[0], dtype=torch.float32)
+    options = SkirtScene.Options(edge=0.1)
+    local = torch.tensor(cone(options)[0], dtype=torch.float32)
     for _ in range(4):
         step = environment.advance(torch.zeros(2, environment.action_size))
         assert not step.unsound.any()
         assert not step.ended.any()
     away = (environment.table["cloth_position"] - at_the_root(environment, local)).norm(dim=2)
-    assert float(away[:, : scene.around].max()) < 2e-3, "the waistband is held"
-    hem = away[:, -scene.around :]
+    assert float(away[:, : around(options)].max()) < 2e-3, "the waistband is held"
+    hem = away[:, -around(options) :]
     assert 0.03 < float(hem.max()) < 0.5, "the hem is not rigid, and does not fly away"
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
-from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
 from understudy.task import Context, Simulator
 from understudy_characters.character import character_spec
 from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
@@ -54,45 +54,43 @@ class SkirtScene(ClothScene):
             if 0.5 * (self.waist + self.hem) * self.length / self.edge**2 > _MOST:
                 raise ValueError(f"edge={self.edge} gives more than {_MOST} vertices: enlarge it.")
 
-    def __init__(self, options: Options, context: Context | None = None) -> None:
+    def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        registry = context.registry if context and context.registry else installed().registry
-        name, spec = character_spec(options.character, registry, context)
+        name, spec = character_spec(options.character, context.registry or Registry(), context)
         model = spec.compile()
         self.bodies, self._tools = _surfaces(model, name)
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3) m in the root body's frame, rows from the waist down, and triangles (F, 3) facing out."""
-        own = self.options
-        around, rows = self.around, 1 + max(4, round(own.length / own.edge))
-        wide, narrow = own.hem / (2 * np.pi), own.waist / (2 * np.pi)
-        drop = np.sqrt(own.length**2 - (wide - narrow) ** 2)
-        share, angle = np.meshgrid(
-            np.linspace(0, 1, rows), 2 * np.pi * np.arange(around) / around, indexing="ij"
-        )
-        radius = narrow + share * (wide - narrow)
-        points = np.stack(
-            [radius * np.cos(angle), radius * np.sin(angle), own.height - share * drop], -1
-        )
-        r, k = (
-            i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(around), indexing="ij")
-        )
-        p, q = r * around + k, r * around + (k + 1) % around
-        s, t = p + around, q + around
-        faces = np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
-        return points.reshape(-1, 3), faces
-
-    @property
-    def around(self) -> int:
-        """Vertices of the waistband."""
-        own = self.options
-        return max(8, round(0.5 * (own.waist + own.hem) / own.edge))
+        """Vertices (V, 3) m in the root body's frame, from the waistband down, and triangles (F, 3) facing out."""
+        return cone(self.options)
 
     def model(self) -> ClothModel:
         points, faces = self.mesh
-        waistband = Grip(0, np.arange(self.around))
+        waistband = Grip(0, np.arange(around(self.options)))
         return ClothModel(points, faces, self.options.fabric, tools=self._tools, grips=(waistband,))
+
+
+def around(options: SkirtScene.Options) -> int:
+    """Vertices of each of its rows, so of the waistband, which is the first."""
+    return max(8, round(0.5 * (options.waist + options.hem) / options.edge))
+
+
+def cone(options: SkirtScene.Options) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) m, rows from the waist down, and triangles (F, 3) facing out."""
+    each, rows = around(options), 1 + max(4, round(options.length / options.edge))
+    wide, narrow = options.hem / (2 * np.pi), options.waist / (2 * np.pi)
+    drop = np.sqrt(options.length**2 - (wide - narrow) ** 2)
+    share, angle = np.meshgrid(
+        np.linspace(0, 1, rows), 2 * np.pi * np.arange(each) / each, indexing="ij"
+    )
+    radius = narrow + share * (wide - narrow)
+    x, y, z = radius * np.cos(angle), radius * np.sin(angle), options.height - share * drop
+    r, k = (i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(each), indexing="ij"))
+    p, q = r * each + k, r * each + (k + 1) % each
+    s, t = p + each, q + each
+    faces = np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
+    return np.stack([x, y, z], -1).reshape(-1, 3), faces
 
 
 def _surfaces(model: mujoco.MjModel, name: str) -> tuple[tuple[str, ...], tuple[Tool, ...]]:
