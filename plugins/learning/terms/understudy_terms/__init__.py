@@ -1,7 +1,7 @@
 """Terms, memories and an observation of any field, whatever the task."""
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("tensors",)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

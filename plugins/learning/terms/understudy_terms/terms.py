@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context
+from understudy_tensors.knots import Knots
 
 
 def _chosen(value: Tensor, index: int | None) -> Tensor:
@@ -78,7 +79,7 @@ def beyond(
 
 
 class OutOfBounds:
-    """The field, one number, is below `least` or above `most`, which change with the time since the episode began:
+    """The field (N,) is below `least` or above `most`, which change with the time since the episode began:
     bounds in space and time about any quantity, as Ma et al. 2021 (section 3.3) put about a reference motion."""
 
     @dataclass(frozen=True)
@@ -99,27 +100,15 @@ class OutOfBounds:
                     raise ValueError(f"{name}: each point has to be later than the one before it.")
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._least = [
-            torch.tensor(p, device=context.device) for p in zip(*options.least, strict=True)
-        ]
-        self._most = [
-            torch.tensor(p, device=context.device) for p in zip(*options.most, strict=True)
-        ]
+        self._least, self._most = (
+            Knots(points, context.device) if points else None
+            for points in (options.least, options.most)
+        )
 
     def __call__(self, value: Tensor, episode_time: Tensor) -> Tensor:
         out = torch.zeros_like(value, dtype=torch.bool)
-        if self._least:
-            out |= value < _between(episode_time, *self._least)
-        if self._most:
-            out |= value > _between(episode_time, *self._most)
+        if self._least is not None:
+            out |= value < self._least.at(episode_time)
+        if self._most is not None:
+            out |= value > self._most.at(episode_time)
         return out
-
-
-def _between(at: Tensor, times: Tensor, values: Tensor) -> Tensor:
-    """(N,): on the straight lines between points (K,) and (K,), at the times (N,)."""
-    if len(times) == 1:
-        return values.expand(len(at))
-    after = torch.searchsorted(times, at.contiguous()).clamp(1, len(times) - 1)
-    before = after - 1
-    share = (at - times[before]) / (times[after] - times[before])
-    return torch.lerp(values[before], values[after], share.clamp(0.0, 1.0))

@@ -18,6 +18,7 @@ from understudy.task import Context, Simulator
 from understudy_characters.character import character_spec
 from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
 from understudy_composite.couplings import Coupling, ToolsFollow
+from understudy_dressing.sleeve import tube_faces
 from understudy_mujoco.scene import MujocoScene
 from understudy_tensors import rotations
 from understudy_warp_torch.tools import Box, Capsule, Shape, Tool
@@ -86,11 +87,7 @@ def cone(options: SkirtScene.Options) -> tuple[np.ndarray, np.ndarray]:
     )
     radius = narrow + share * (wide - narrow)
     x, y, z = radius * np.cos(angle), radius * np.sin(angle), options.height - share * drop
-    r, k = (i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(each), indexing="ij"))
-    p, q = r * each + k, r * each + (k + 1) % each
-    s, t = p + each, q + each
-    faces = np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
-    return np.stack([x, y, z], -1).reshape(-1, 3), faces
+    return np.stack([x, y, z], -1).reshape(-1, 3), tube_faces(rows, each)
 
 
 def _surfaces(model: mujoco.MjModel, name: str) -> tuple[tuple[str, ...], tuple[Tool, ...]]:
@@ -135,23 +132,18 @@ class Worn(Coupling):
         self, options: Options, context: Context, simulators: Mapping[str, Simulator]
     ) -> None:
         self.source, self.target = options.source, options.target
-        scene = context.scene.members[self.target] if context.scene else None
+        members = context.scene.members if context.scene else {}
+        scene, wearer = members.get(self.target), members.get(self.source)
         if not isinstance(scene, SkirtScene):
-            skirts = [
-                name
-                for name, one in (context.scene.members if context.scene else {}).items()
-                if isinstance(one, SkirtScene)
-            ]
+            skirts = [name for name, one in members.items() if isinstance(one, SkirtScene)]
             raise ConfigError(
                 f"coupling 'dressing/worn': member '{self.target}' is a {type(scene).__name__} and no skirt."
                 f"{suggestion(self.target, skirts)}"
             )
         follow = ToolsFollow.Options(self.source, self.target, scene.bodies)
         self._tools = ToolsFollow(follow, context, simulators)
-        self.columns: Sequence[int] = range(
-            len(self._tools.columns) + 1
-        )  # and the waistband's grip
-        wearer = context.scene.members[self.source] if context.scene else None
+        # the tools', and the waistband's grip
+        self.columns: Sequence[int] = range(len(self._tools.columns) + 1)
         assert isinstance(wearer, MujocoScene)  # tools follow no other
         model = wearer.compiled(context)
         self._root = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, scene.bodies[0])

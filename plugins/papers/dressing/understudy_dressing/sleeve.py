@@ -24,6 +24,14 @@ from understudy_warp_torch.tools import Tool
 _MOST = 10_000
 
 
+def tube_faces(rows: int, around: int) -> np.ndarray:
+    """(F, 3): triangles of a tube that is open at both ends, whose vertices come in rows of `around`."""
+    r, k = (i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(around), indexing="ij"))
+    p, q = r * around + k, r * around + (k + 1) % around
+    s, t = p + around, q + around
+    return np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
+
+
 class HangingScene(GarmentScene):
     """What hangs from a gripper, the last of the tools, which is at the origin where it is laid out."""
 
@@ -90,12 +98,7 @@ class SleeveScene(HangingScene):
         radius = self.options.around / (2 * np.pi)
         x, a = np.meshgrid(np.linspace(0, self.options.length, rows), angle, indexing="ij")
         points = np.stack([x, radius * np.sin(a), radius * (np.cos(a) - 1)], -1).reshape(-1, 3)
-        r, k = (
-            i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(around), indexing="ij")
-        )
-        p, q = r * around + k, r * around + (k + 1) % around
-        s, t = p + around, q + around
-        faces = np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
+        faces = tube_faces(rows, around)
         apart = np.abs((a.ravel() + np.pi) % (2 * np.pi) - np.pi)
         return points, faces, apart
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Context
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.knots import Knots
 from understudy_tensors.rotations import angle_between
 
 Size = float | list[list[float]]
@@ -47,9 +48,7 @@ class BoundSize:
             )
         if any(not 0.0 <= phase <= 1.0 for phase, _ in knots):
             raise ConfigError(f"{who}: size={size} is not possible: phases go from 0 to 1.")
-        ordered = torch.tensor(sorted(map(tuple, knots)), device=device, dtype=dtype)
-        self._phases, self._values = ordered.T.contiguous()
-        self._steps = self._phases.diff().clamp(min=1e-9)
+        self._knots = Knots(sorted((phase, value) for phase, value in knots), device, dtype)
 
     def at(self, phase: Tensor, scales: Tensor | None = None) -> Tensor:
         """The knots interpolated at `phase` (N,): (N,), or () if the size is the same always.
@@ -59,12 +58,7 @@ class BoundSize:
         if scales is not None:
             segment = (phase * scales.shape[1]).long().clamp(0, scales.shape[1] - 1)
             return self.at(phase) * scales.gather(1, segment.unsqueeze(1)).squeeze(1)
-        last = len(self._phases) - 1
-        if last == 0:
-            return self._values[0]
-        left = (torch.searchsorted(self._phases, phase.contiguous()) - 1).clamp(0, last - 1)
-        share = ((phase - self._phases[left]) / self._steps[left]).clamp(0.0, 1.0)
-        return torch.lerp(self._values[left], self._values[left + 1], share)
+        return self._knots.at(phase)
 
     def left(self, distances: Tensor, phase: Tensor, scales: Tensor | None) -> Tensor:
         """(N,) bool: whether any of the `distances` (N, K) is further than the size at `phase` (N,)."""
