@@ -46,3 +46,16 @@ def test_a_result_that_cannot_be_kept_is_printed(
     said = capsys.readouterr()
     assert json.loads(said.out)["episodes"] == 2
     assert "Read-only file system" in said.err
+
+
+def test_a_run_trained_without_a_film_gets_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = "experiment=miniature/go", "budget.samples=256", *miniatures.QUICK
+    miniatures.train(*words, f"run.dir={tmp_path}/run", "run.video_seconds=0")
+    recording = tmp_path / "run" / "recording.npz"
+    assert not recording.exists()
+    assert main(["render", f"{tmp_path}/run", "run.video_seconds=0", "episodes=2"]) == 0
+    assert not list(tmp_path.rglob("recording.npz")), "none was asked for"
+    assert main(["render", f"{tmp_path}/run"]) == 0
+    assert recording.exists()

@@ -51,6 +51,8 @@ _WHERE = ("device", "num_worlds", "simulator.threads")
 _OF_TRAININGS = re.compile(
     r"[+~]*(run\.dir|start|budget|checkpoint\.\w+|outer_loop|executor)(?=[.=]|$)"
 )
+#: s, of the film of a run that was trained without one (``run.video_seconds=0``).
+_FILM = 8.0
 #: Of a run folder: where what was drawn otherwise is.
 RENDERS = "renders"
 
@@ -139,13 +141,20 @@ class Render(Command):
         try:
             if name:
                 run = _beside(run, name, chosen, options.overrides, training)
-            judge(training, run, reporter, changed)
+            judge(training, run, reporter, changed, _seconds(training, options.overrides))
         finally:
             training.close()
         if name:
             tell(f"This is in a folder of its own.{_KEPT}")
         print(f"run: {run.path}")
         return 0
+
+
+def _seconds(training: Training, words: Sequence[str]) -> float:
+    """Of the film: as the run has it or the `words` say. A run that was trained without one is asked for it here."""
+    asked = any(word.partition("=")[0] in ("seconds", _PICTURE["seconds"]) for word in words)
+    seconds = training.experiment.root.run.video_seconds
+    return seconds if asked else seconds or _FILM
 
 
 def _name(words: Sequence[str], chosen: str) -> str:

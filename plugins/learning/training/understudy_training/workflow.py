@@ -180,10 +180,18 @@ def _carry_out(training: Training) -> int:
     return 0
 
 
-def judge(training: Training, run: Run, reporter: Reporter, changed: Sequence[str] = ()) -> None:
+def judge(
+    training: Training,
+    run: Run,
+    reporter: Reporter,
+    changed: Sequence[str] = (),
+    seconds: float | None = None,
+) -> None:
     """The last evaluation while recording: ``evaluation.json``, ``recording.npz``, and whatever the
-    observers make of them. `changed` are overrides with which the run was not trained."""
-    evaluation, recording = training.judge(training.experiment.root.run.video_seconds)
+    observers make of them. `changed` are overrides with which the run was not trained; `seconds`, of the
+    recording, the run's own without it."""
+    length = training.experiment.root.run.video_seconds if seconds is None else seconds
+    evaluation, recording = training.judge(length)
     run.write_json("evaluation.json", evaluation.as_json(training.progress.samples, changed))
     if recording is not None:
         recording.save(run.path / "recording.npz")
