@@ -8,7 +8,8 @@ the page of chopsticks. ``--device cuda`` holds the standard one in MuJoCo Warp 
 targets and how far the fingers are in each other, which the hand's model allows. ``--apart FOLDER`` finds a grip of each of these styles
 whose fingers keep 0.5 mm from one another, at the same places or, where there is none, at places that are drawn about them, into
 ``docs/benchmarks/grips_apart.jsonl``; ``--keep FOLDER`` keeps them there. ``--touching`` holds the packaged ones with fingers that touch one
-another (``scene.self_collision``) into ``docs/benchmarks/grips_touching.jsonl``, with what that costs.
+another (``scene.self_collision``) into ``docs/benchmarks/grips_touching.jsonl``, with what that costs. ``--draw PICTURE.png GRIP …`` draws
+the grips of files, or packaged ones by name, in rows of close-ups with the forces on the tool (thesis, figure 5.23), and measures nothing.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
+from understudy_chopsticks.gallery import close_ups
 from understudy_gripping.finding import find_grip, search_grip
 from understudy_gripping.grip import Grip, load_grip
 from understudy_gripping.hold import hold, nearest_fingers, placed
@@ -39,6 +41,7 @@ from understudy_gripping.holding import holding
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
+from understudy_report.pictures import png
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "grips.jsonl"
 SEARCHED = RESULTS.with_name("grips_searched.jsonl")
@@ -217,7 +220,17 @@ def main() -> None:
     parser.add_argument("--touching", action="store_true", help="with fingers that touch one another")  # fmt: skip
     parser.add_argument("--apart", type=Path, metavar="FOLDER", help="of grips that were found")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for those whose fingers keep apart")  # fmt: skip
+    parser.add_argument("--draw", nargs="+", metavar=("PICTURE", "GRIP"), help="files of grips, or names of packaged ones")  # fmt: skip
     given = parser.parse_args()
+    if given.draw is not None:
+        packaged = load().registry
+        picture, *grips = given.draw
+        paths = [
+            Path(g) if g.endswith(".json") else packaged.find("grip", g).factory() for g in grips
+        ]
+        drawn = [np.concatenate(close_ups(load_grip(path)), axis=1) for path in paths]
+        Path(picture).write_bytes(png(np.concatenate(drawn)))
+        return
     if given.device is not None:
         line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
         with WARP.open("a", encoding="utf-8") as file:
