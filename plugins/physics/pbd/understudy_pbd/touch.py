@@ -14,7 +14,7 @@ from understudy.task import Context, Encoder
 from understudy_pbd.scene import ParticleScene
 from understudy_tensors import rotations
 
-__all__ = ["Touch", "felt"]
+__all__ = ["felt"]
 
 
 def felt(places: Tensor, forces: Tensor, sensors: Tensor, face: Tensor) -> tuple[Tensor, Tensor]:
