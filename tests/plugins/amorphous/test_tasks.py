@@ -405,6 +405,29 @@ def test_every_variant_of_the_ablations_differs_in_one_thing(ablation: str, vari
     assert raw["evaluation"].get("objective", "success_rate") in (*raw["measure"], "success_rate")
 
 
+@pytest.mark.parametrize(
+    ("variant", "policy", "seen"),
+    [
+        ("maps", "cnn", {"image": (1, 16, 16), "state": (13,)}),
+        ("maps_and_touch", "cnn", {"image": (1, 16, 16), "state": (13,), "touch": (20,)}),
+        ("touch", "mlp", {"state": (13,), "touch": (20,)}),
+        ("neither", "mlp", {"state": (13,)}),
+    ],
+)
+def test_a_pan_feels_in_place_of_seeing(
+    variant: str, policy: str, seen: dict[str, tuple[int, ...]]
+) -> None:
+    raw = compose_raw(["ablation=amorphous/touch"])
+    chosen = [f"experiment={raw['task']}_small", *raw["outer_loop"]["variants"][variant]]
+    experiment: Any = load_experiment(chosen).effective()["policy"]
+    assert experiment["name"] == policy
+    assert (experiment["hidden"], experiment["learn_noise"]) == ([64, 64], True)
+    assert experiment["noise"]["start"] == 0.8
+    read = experiment["observation" if policy == "mlp" else "flat"]
+    assert {"image", *([read] if isinstance(read, str) else read)} == {"image", *seen}
+    assert environment(*chosen).observation_shapes == seen
+
+
 def test_the_papers_learner_has_its_figures() -> None:
     options: Any = (
         load_experiment(["experiment=amorphous/gather", "learner=amorphous/ppo", "num_worlds=49"])

@@ -79,6 +79,15 @@ def test_what_is_no_ending_is_harvested_as_it_is_told() -> None:
     assert asked.overrides[:2] == ("num_worlds=8", "experiment=g")
 
 
+def test_a_task_begins_in_a_bank_by_a_part_of_its_own() -> None:
+    own = ("initial_states=a_part", "initial_states.file='{grip_ends}'")
+    stages = stages_of(Algorithm1.Options(SUBTASKS, begins={"tuck": own}))
+    assert stages["tuck"][2:] == (*own, "start.run='{tuck_first}'")
+    assert stages["tuck_first"][0] == "experiment=t"
+    assert not set(own) & set(stages["tuck_first"]), "the first pass begins narrowly"
+    assert "initial_states=sequencing/gaussian" in stages["sleeve"], "the others as before"
+
+
 def test_it_asks_as_a_chain_does() -> None:
     loop = Algorithm1(Algorithm1.Options(SUBTASKS))
     asked = [loop.ask(number) for number in range(5)]
@@ -104,6 +113,8 @@ def test_it_asks_as_a_chain_does() -> None:
         ({"subtasks": {"a b": ()}}, "letters, digits"),
         ({"subtasks": {"a": (), "a_first": ()}}, "'a_first' would be the name of two stages"),
         ({"subtasks": {"a": ()}, "ends": {"b": ()}}, "ends.b is of no subtask"),
+        ({"subtasks": {"a": ()}, "begins": {"b": ()}}, "begins.b is of no subtask"),
+        ({"subtasks": {"a": ()}, "begins": {"a": ()}}, "begins.a is not possible"),
         ({"subtasks": {"a": ()}, "widening": 0.0}, "widening"),
         ({"subtasks": {"a": ()}, "count": 1}, "count"),
         ({"subtasks": {"a": ()}, "weight": -1.0}, "weight"),

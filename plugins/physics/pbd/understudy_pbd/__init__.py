@@ -8,4 +8,7 @@ PARTS = {
     "simulator": {
         "pbd": ("simulator:ParticleSimulator", "particles, springs and tools, position-based"),
     },
+    "encoder": {
+        "pbd/touch": ("touch:Touch", "forces on a tool, and on which of its faces"),
+    },
 }

@@ -41,6 +41,8 @@ class ParticleSimulator(WarpSimulator):
     ``particle_position``, ``particle_velocity``  (P, 3) m, m/s
     ``tool_position``, ``tool_orientation``      (3,) m, (4,) wxyz
     ``tool_velocity``, ``tool_angular_velocity``  (3,) m/s, rad/s, in the last sub-step
+    ``contact_force``                            (P, 3) N, of tools on each particle, mean over the
+                                                 control period
     ``active_particles``                         (P,), 0 where a world has no such particle
     ``spring_partners``, ``spring_lengths``      (P, K), −1 where no spring is; m
     ===========================================  =========================================
@@ -95,6 +97,8 @@ class ParticleSimulator(WarpSimulator):
             views["spring_partners"] = (wp.to_torch(system.spring_partner), (p, k))
             views["spring_lengths"] = (wp.to_torch(system.spring_length), (p, k))
         t = len(model.tools)
+        if t:
+            views["contact_force"] = (wp.to_torch(system.contact_force), (p, 3))
         views |= tool_views(system.tools)
         read = {name: view.view(self._n, *shape) for name, (view, shape) in views.items()}
         self.fields: Mapping[str, Shape] = {name: shape for name, (_, shape) in views.items()}
@@ -128,7 +132,13 @@ class ParticleSimulator(WarpSimulator):
             **kept,
         }
         initial = {name: view[:1].clone() for name, view in state.items()}
-        for name in ("tool_velocity", "tool_angular_velocity", "particle_velocity", *kept):
+        for name in (
+            "tool_velocity",
+            "tool_angular_velocity",
+            "particle_velocity",
+            "contact_force",
+            *kept,
+        ):
             if name in initial:
                 initial[name].zero_()
         # torch makes no view of an array without elements on a GPU
@@ -190,6 +200,7 @@ class ParticleSimulator(WarpSimulator):
         s.position = each_world(model.positions, wp.vec3)
         s.velocity = wp.zeros((n, p), dtype=wp.vec3)
         s.active = wp.full((n, p), 1.0, dtype=float)
+        s.contact_force = wp.zeros((n, p), dtype=wp.vec3)
         s.spring_partner, s.spring_length = each_world(partners, int), each_world(lengths, float)
         s.substep = wp.zeros(n, dtype=int)
         s.tools = build_tools(model.tools, n)

@@ -71,6 +71,7 @@ class System:
     position: wp.array2d(dtype=wp.vec3)
     velocity: wp.array2d(dtype=wp.vec3)
     active: wp.array2d(dtype=float)
+    contact_force: wp.array2d(dtype=wp.vec3)  # of tools, mean over the present control period, N
     spring_partner: wp.array3d(dtype=int)
     spring_length: wp.array3d(dtype=float)
     substep: wp.array(dtype=int)  # done in the present control period, (N,)
@@ -223,6 +224,15 @@ def wall_gradient(s: System, x: wp.vec3, h: float) -> wp.vec3:
 
 
 @wp.func
+def count_contact(s: System, world: int, i: int, push: wp.vec3):
+    """Add what tools moved a particle by in a sub-step to its mean force: push · m / Δt of momentum, in as many
+    sub-steps of Δt as a control period has."""
+    if wp.dot(push, push) > 0.0:
+        scale = 1.0 / (s.inverse_mass[i] * s.dt * s.dt * float(s.substeps))
+        s.contact_force[world, i] = s.contact_force[world, i] + scale * push
+
+
+@wp.func
 def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp.vec3:
     """`moved` out of tools, walls and table, whole and not averaged: nobody pushes these back.
 
@@ -235,6 +245,7 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
     mu = s.friction[world, material]
     ratio = s.static_ratio[material]
     rubs = float(1.0)
+    push = wp.vec3(0.0)  # by tools
     for _again in range(_WEDGED):
         pushed = int(0)
         for shape in range(s.tools.shapes):
@@ -258,6 +269,7 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
                     dynamic = 0.5 * (mu + s.tools.friction[shape])
                     rub = friction(slip, depth, ratio * dynamic, dynamic)
                     x = x + depth * n - rubs * rub
+                    push = push + (depth * n - rubs * rub)
         for k in range(s.sides):  # the table last
             plane = wall(s, s.sides - 1 - k, x)
             depth = radius - plane[3]
@@ -271,6 +283,7 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
         if pushed < 2:
             break
         rubs = 0.0
+    count_contact(s, world, i, push)
     return x
 
 
@@ -293,12 +306,16 @@ def build_kernels(features: Features) -> Kernels:
         start = s.position[world, i]
         x = start
         weight = float(1.0)
+        if s.substep[world] == 1 % s.substeps:  # the period's first is under way
+            s.contact_force[world, i] = wp.vec3(0.0)
         if s.active[world, i] == 0.0:
             weight = -1.0
         elif s.inverse_mass[i] > 0.0:
             v = s.velocity[world, i] + s.dt * s.gravity[world]
             v = v / (1.0 + s.dt * s.damping[s.material[i]])
-            x = swept(s, world, start, start + s.dt * v, s.radius[i])
+            free = start + s.dt * v
+            x = swept(s, world, start, free, s.radius[i])
+            count_contact(s, world, i, x - free)
         store_row(memory, i, wp.vec4(x[0], x[1], x[2], weight))
         store_row(memory, 2 * s.particles + i, wp.vec4(start[0], start[1], start[2], 0.0))
 

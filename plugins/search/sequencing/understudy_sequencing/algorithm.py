@@ -43,6 +43,9 @@ class Algorithm1(OuterLoop):
         subtasks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
         #: by subtask, what its harvest is given in place of `ending`: [job.moment=change, job.field=gripped, job.value=1]
         ends: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+        #: by subtask, what its second pass is given in place of `starts`, where a task begins in a bank by a part of its
+        #: own: [initial_states.file='{grip_ends}'] names the bank of the subtask before, grip
+        begins: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
         passes: Literal["both", "first"] = "both"  #: ``first``: the paper's ablation
         #: α of line 5, by which the covariance of the first subtask's starts is multiplied (not
         #: published); 1 leaves its starts as they are
@@ -66,11 +69,17 @@ class Algorithm1(OuterLoop):
             check_range(self, "count", least=2)
             if not self.subtasks:
                 raise ValueError("subtasks={} is not possible: give at least one.")
-            for name in self.ends:
-                if name not in self.subtasks:
-                    raise ValueError(
-                        f"ends.{name} is of no subtask.{suggestion(name, self.subtasks)}"
-                    )
+            for option, given in (("ends", self.ends), ("begins", self.begins)):
+                for name in given:
+                    if name not in self.subtasks:
+                        raise ValueError(
+                            f"{option}.{name} is of no subtask.{suggestion(name, self.subtasks)}"
+                        )
+            first = next(iter(self.subtasks))
+            if first in self.begins:
+                raise ValueError(
+                    f"begins.{first} is not possible: the first subtask begins where it does by itself."
+                )
             taken: set[str] = set()
             for name in self.subtasks:
                 if not _NAME.fullmatch(name):
@@ -134,7 +143,9 @@ def stages_of(options: Algorithm1.Options) -> dict[str, tuple[str, ...]]:
     for number, name in enumerate(names):
         begins: tuple[str, ...] = ()
         if number > 0:
-            begins = _starts(options.starts, f"'{{{names[number - 1]}_ends}}'", 1.0)
+            given = options.begins.get(name)
+            file = f"'{{{names[number - 1]}_ends}}'"
+            begins = _starts(options.starts, file, 1.0) if given is None else given
         elif widened:
             begins = _starts("gaussian", f"'{{{name}_starts}}'", options.widening)
         warm = (f"start.run='{{{name}_first}}'",) if options.warm else ()
