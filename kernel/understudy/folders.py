@@ -18,13 +18,8 @@ DOCUMENT = 2**28  #: most bytes that a JSON file, such as ``run.json``, has
 
 
 def check_within(folder: Path) -> None:
-    """See that all of `folder` is files and folders of its own, before anything in it is opened.
-
-    Raises
-    ------
-    RunError
-        names the first part that resolves outside it, or is a pipe, a device or a socket.
-    """
+    """See that all of `folder` is files and folders of its own, before anything in it is opened; a
+    RunError names the first part that resolves outside it, or is a pipe, a device or a socket."""
     top, waiting = os.path.realpath(folder), [os.fspath(folder)]
     try:
         while waiting:
@@ -50,26 +45,16 @@ def check_within(folder: Path) -> None:
 
 
 def open_lock(path: Path) -> io.FileIO:
-    """The lock file at `path`, made if there is none, with what is in it untouched.
-
-    Raises
-    ------
-    OSError
-        it cannot be opened for writing, or is a link.
-    """
+    """The lock file at `path`, made if there is none, with what is in it untouched; an OSError if it
+    cannot be opened for writing, or is a link."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     return io.FileIO(os.open(path, flags, 0o666), "r+")
 
 
 @contextlib.contextmanager
 def opened(path: Path, most: int = DOCUMENT) -> Iterator[io.BufferedReader]:
-    """The file at `path`, to be read.
-
-    Raises
-    ------
-    OSError
-        it cannot be opened, is no file, or is larger than `most` bytes.
-    """
+    """The file at `path`, to be read; an OSError if it cannot be opened, is no file, or is larger than
+    `most` bytes."""
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         found = os.fstat(file.fileno())
         if stat.S_ISDIR(found.st_mode):

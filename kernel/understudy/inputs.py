@@ -25,13 +25,8 @@ class Inputs:
 
     def file(self, asked: str, find: Callable[[], Iterable[Path]]) -> Path:
         """The file to open for what is `asked`: the run's copy, else the first that `find` gives.
-        Its others (meshes, a licence) are kept with it, below the same folder.
-
-        Raises
-        ------
-        RunError
-            if a copy is not what the run was made with.
-        """
+        Its others (meshes, a licence) are kept with it, below the same folder. A RunError if a copy
+        is not what the run was made with."""
         if asked not in self.kept:
             self._read[asked] = self._read.get(asked) or list(find())
             return self._read[asked][0]

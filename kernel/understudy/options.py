@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import math
 import re
+import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -124,7 +124,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
     if annotation is int and isinstance(value, float) and value.is_integer():
         return int(value)  # 1e6 is how people write a million samples
     if annotation is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        if not math.isfinite(value):
+        if not abs(value) <= sys.float_info.max:  # nor is a whole number that no float holds
             raise ConfigError(f"{where}={value} is not possible; give a finite number.")
         return float(value)
     if origin in (tuple, list) and isinstance(value, (list, tuple)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -25,6 +26,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.signals import StopRequest
+from understudy.task import Actuation, Encoder, Fields, InitialStates, Memory
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 
@@ -651,3 +653,125 @@ def test_a_plugin_of_a_package_whose_name_cannot_be_read(
     (stranger.parent / "odd_plugin_of_stranger.py").write_text('"""Brings nothing."""\n')
     assert main(["plugins"]) == 0
     assert "odd" in capsys.readouterr().out
+
+
+class _Built:
+    """Made as parts are."""
+
+    def __init__(self, options: None, *context: Any) -> None: ...
+
+
+def _lacking(base: type, **what: Any) -> type:
+    """A part of a stranger's that derives from `base` and has `what`."""
+    return type("Odd", (_Built, base), what)
+
+
+def _none(*args: Any, **fields: Any) -> None:
+    """Whatever is called of a part that is refused before that."""
+
+
+class _NoDataclass(_Built):
+    class Options:
+        gain: float = 1.0
+
+
+def _untyped(position: Any, *, gain: Unknown = 1.0) -> Any:  # type: ignore[name-defined]  # noqa: F821
+    """Its option is of a type that is nowhere."""
+
+
+def of_one_part(monkeypatch: pytest.MonkeyPatch, kind: str, name: str, part: Any) -> ModuleType:
+    """A plugin whose tables register `part`, which is imported when it is asked for."""
+    stranger, parts = ModuleType("stranger"), ModuleType("stranger.parts")
+    vars(parts)["part"] = part
+    vars(stranger).update(__package__="stranger", PARTS={kind: {name: ("parts:part", "is odd")}})
+    monkeypatch.setitem(sys.modules, "stranger", stranger)
+    monkeypatch.setitem(sys.modules, "stranger.parts", parts)
+    return stranger
+
+
+@pytest.mark.parametrize(
+    ("slot", "part", "why"),
+    [
+        ("encoder.state", _lacking(Encoder, encode=_none), "lacks reads, shape, which Encoder declares"),
+        ("encoder.state", _lacking(Encoder, reads=(), shape=(2,)), "does not define encode"),
+        ("encoder.state", _lacking(Encoder, encode=_none, shape=3, reads=()), "has shape = 3, which must be a Shape"),
+        ("encoder.state", _lacking(Encoder, encode=_none, shape=(1,), reads=("position")), "has reads = 'position'"),
+        ("encoder.state", _NoDataclass, "has options that cannot be read"),
+        ("encoder.state", object, "is not made of (NoneType, Context)"),
+        ("encoder.state", 7, "has options that cannot be read"),
+        ("fields.odd", _lacking(Fields, compute=_none, reads=()), "lacks provides, which Fields declares"),
+        ("fields.odd", _lacking(Fields, compute=_none, reads=(), provides=["odd"]), "has provides = ['odd']"),
+        ("fields.odd", _lacking(Fields, compute=_none, reads=(), provides={"odd": 3}), "has provides = {'odd': 3}"),
+        ("memory.odd", _lacking(Memory, begin=_none, advance=_none), "lacks keeps, which Memory declares"),
+        ("memory.odd", _lacking(Memory, begin=_none, advance=_none, keeps={}, uniforms="x"), "has uniforms = 'x'"),
+        ("actuation", _lacking(Actuation, control=_none), "lacks action_space, which Actuation declares"),
+        ("initial_states", _lacking(InitialStates), "does not define sample"),
+        ("initial_states", _Built, "sample, settle, state_dict, update, varies, which InitialStates declares"),
+        ("initial_states", _lacking(InitialStates, sample=_none, varies="drag"), "has varies = 'drag'"),
+        ("curriculum", _Built, "which Curriculum declares"),
+        ("scene", _Built, "which Scene declares"),
+        ("simulator", _Built, "which Simulator declares"),
+        ("reward.terms.odd", _Built, "makes what cannot be called"),
+        ("reward.terms.odd", _untyped, "NameError: name 'Unknown' is not defined"),
+        ("policy", _Built, "which Policy declares"),
+        ("learner", _Built, "which Learner declares"),
+        ("job", _Built, "which Job declares"),
+    ],
+)  # fmt: skip
+def test_parts_that_are_not_as_their_kind(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], slot: str, part: Any, why: str,
+) -> None:  # fmt: skip
+    """Each ended in a traceback from within the kernel; two letters of a field's name were taken for two fields."""
+    kind = slot.partition(".")[0]
+    with_stranger(of_one_part(monkeypatch, kind, "stranger/odd", part))
+    words = [*GO, f"{slot}={{name: stranger/odd}}", f"run.dir={tmp_path / 'run'}"]
+    assert unharmed(main, ["train", *words]) == 2
+    told = capsys.readouterr().err
+    assert f"{kind} 'stranger/odd' of plugin 'stranger' " in told
+    assert why in told
+    assert "Mend the plugin, or choose another one." in told
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [(object, "lacks arguments"), (None, "is not made of ()"), (lambda: None, "lacks arguments"),
+     (Command, "does not define arguments, run")],
+)  # fmt: skip
+def test_commands_that_are_none(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], command: Any, why: str,
+) -> None:  # fmt: skip
+    """Each ended in a traceback."""
+    with_stranger(of_one_part(monkeypatch, "command", "odd", command))
+    assert unharmed(main, ["odd"]) == 2
+    told = capsys.readouterr().err
+    assert f"command 'odd' of plugin 'stranger' {why}" in told
+
+
+@pytest.mark.parametrize(
+    "words", [["plugins"], ["tasks"], ["describe", "learner"], ["describe", "learner/stranger/odd"], ["--help"]]
+)  # fmt: skip
+def test_what_a_plugin_says_of_itself_commands_no_terminal(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], words: list[str],
+) -> None:  # fmt: skip
+    """Lists of what there is are read before anything of a plugin is used."""
+    commanding = "odd \x1b]0;mine\x07"
+
+    class Learner(_Built):
+        __doc__ = commanding
+
+    stranger = of_one_part(monkeypatch, "learner", "stranger/odd", Learner)
+    vars(stranger)["PARTS"] = {
+        "learner": {"stranger/odd": ("parts:part", commanding)},
+        "command": {"odd": ("parts:part", commanding)},
+    }
+    vars(stranger)["TASKS"] = {"stranger/odd": commanding}
+    with_stranger(stranger)
+    with contextlib.suppress(SystemExit):  # of --help
+        assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "odd" in told
+    assert not {"\x1b", "\x07"} & set(told)

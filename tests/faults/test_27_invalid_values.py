@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pytest
 from worlds import PADDLE_TASK, SMALL
 
+from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
@@ -14,11 +18,11 @@ from understudy.testing.fake import FAKE_TASK
 #: Key path and values that cannot work.
 INVALID: dict[str, tuple[str, ...]] = {
     "num_worlds": ("0", "-1", "1.5", "abc", "null", "true", "[1]"),
-    "seed": ("-1", "9223372036854775808", "x", "0.5"),
+    "seed": ("-1", "9223372036854775808", "x", "0.5", f"1{400 * '0'}"),
     "control.frequency": ("-1", "0", "inf", "nan", "null", "fast"),
     "control.substeps": ("0", "-3", "0.5", "1e9"),
     "episode.seconds": ("0", "-2", "nan", "inf"),
-    "budget.samples": ("-5", "0", "1.5", "lots"),
+    "budget.samples": ("-5", "0", "1.5", "lots", f"1{400 * '0'}"),
     "budget.minutes": ("-1", "0", "nan", "inf"),
     "evaluation.episodes": ("0", "-1", "2.5"),
     "evaluation.seconds": ("0", "-1", "nan"),
@@ -43,7 +47,7 @@ INVALID: dict[str, tuple[str, ...]] = {
     "learner.rollout_steps": ("0", "-1", "2.5"),
     "learner.epochs": ("0",),
     "learner.minibatches": ("0", "-32"),
-    "+learner.gamma": ("1.5", "-0.1", "nan"),
+    "+learner.gamma": ("1.5", "-0.1", "nan", f"1{400 * '0'}", f"-1{400 * '0'}"),
     "+learner.gae_lambda": ("1.5",),
     "+learner.td_lambda": ("-1",),
     "+learner.clip": ("0", "-0.2", "nan", "inf"),
@@ -170,3 +174,24 @@ def test_unusual_but_possible(plugins: Plugins, override: str) -> None:
     training = Training(load_experiment([*FAKE_TASK, *SMALL, override], plugins)).prepare()
     row = training.iterate()
     assert row["skipped_steps"] == 0
+
+
+@pytest.mark.parametrize("value", ["{0}", "-{0}", "[{0}]", "{{a: {0}}}"])
+def test_a_number_of_more_digits_than_are_read(plugins: Plugins, value: str) -> None:
+    """Python reads 4300; it ended in a traceback."""
+    override = f"learner.gamma={value.format(9 * '1234567890' * 60)}"
+    with pytest.raises(ConfigError, match=r"cannot be read|takes a number"):
+        load_experiment([*FAKE_TASK, *SMALL, override], plugins)
+
+
+def test_what_a_message_quotes_of_a_file_is_cut(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A terminal was filled with a hundred thousand letters."""
+    file = tmp_path / "room.json"
+    objects = [{"label": "chair", "centre": 100_000 * "x", "size": [1, 1, 1]}]
+    file.write_text(json.dumps({"camera": {}, "objects": objects}))
+    assert main(["config", "experiment=sitting/sit", f"+room.file={100_000 * 'x'}"]) == 2
+    capsys.readouterr()
+    assert main(["train", "experiment=sitting/sit", f"+room.file={file}"]) == 2
+    assert 0 < len(capsys.readouterr().err) < 11_000

@@ -67,8 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
                 raise
-            with contextlib.suppress(OSError):  # the terminal may have been closed
-                print(f"understudy: {shown(str(error))}", file=sys.stderr, flush=True)
+            with contextlib.suppress(OSError):  # a closed terminal; and no file is quoted whole
+                print(f"understudy: {shown(str(error)):.10000}", file=sys.stderr, flush=True)
             return error.exit_status
 
 
@@ -173,13 +173,13 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
                 under = [other for other in names if other.split()[0] == first]
                 text = ", ".join(other.removeprefix(f"{first} ") for other in under)
                 text += f": {component.summary}" if len(under) == 1 else ""
-                parser = commands.add_parser(first, **_help(text))
+                parser = commands.add_parser(first, **_help(shown(text)))
                 groups[first] = parser.add_subparsers(metavar="COMMAND", required=True)
             where = groups[first]
-        parser = where.add_parser(word, **_help(component.summary))
+        parser = where.add_parser(word, **_help(shown(component.summary)))
         if list(arguments[: len(group) + 1]) != [*group, word]:
             continue
-        command = component.factory()
+        command = component.make(Command)
         command.arguments(parser)
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
         example = f"for example:\n  {command.example}" if command.example else ""

@@ -50,13 +50,8 @@ def sync(descriptor: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Replace `path` with `data` so that a crash leaves either the old file or the new one.
-
-    Raises
-    ------
-    RunError
-        if the disk is full or the folder cannot be written; the old file is untouched.
-    """
+    """Replace `path` with `data` so that a crash leaves either the old file or the new one. A RunError
+    if the disk is full or the folder cannot be written; the old file is untouched."""
     temporary = path.parent / f".{path.name}.{os.getpid()}.partial"
     try:
         with open(temporary, "wb") as file:
@@ -94,13 +89,8 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
 
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The ``(state, meta)`` of the checkpoint `path` (with or without an ending).
-
-    Raises
-    ------
-    RunError
-        if it is missing, damaged, or of another format.
-    """
+    """The ``(state, meta)`` of the checkpoint `path` (with or without an ending); a RunError if it is
+    missing, damaged, or of another format."""
     file, tensor_file = _files(path)
     document = read_sealed(file)
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():

@@ -112,13 +112,7 @@ class Run:
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 
     def lock(self) -> None:
-        """Hold the folder for this process.
-
-        Raises
-        ------
-        RunError
-            if another process trains in it, or a part of it leads out of it.
-        """
+        """Hold the folder for this process; a RunError if another trains in it, or it leads out."""
         try:
             check_within(self.path)
             self._lock = open_lock(self.path / ".lock")  # held until the run ends
@@ -134,13 +128,8 @@ class Run:
             print(text, file=sys.stderr)
 
     def check_held(self) -> None:
-        """See that the folder is still the one that :meth:`lock` holds, before writing into it.
-
-        Raises
-        ------
-        RunError
-            if it was removed, or is another one by now.
-        """
+        """See that the folder is still the one that :meth:`lock` holds, before writing into it; a
+        RunError if it was removed, or is another one by now."""
         if self._lock is None:
             return
         try:
@@ -163,13 +152,8 @@ class Run:
         write_atomically(self.path / name, (json.dumps(value, indent=1) + "\n").encode())
 
     def words(self, more: Sequence[str]) -> list[str]:
-        """The overrides that made it, then `more`, to be composed.
-
-        Raises
-        ------
-        ConfigError
-            if one of its own would be filled in from this machine.
-        """
+        """The overrides that made it, then `more`, to be composed; a ConfigError if one of its own
+        would be filled in from this machine."""
         from understudy.setup.composition import refuse_resolvers, replaced  # Hydra takes its time
 
         words = replaced(self.info["overrides"], more)
@@ -183,13 +167,8 @@ class Run:
     def newest(
         self, warn: Callable[[str], None] = lambda text: None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The ``(state, meta)`` of the newest intact checkpoint; `warn` is told of damaged ones.
-
-        Raises
-        ------
-        RunError
-            if there is none, or it does not say after how many samples it was made.
-        """
+        """The ``(state, meta)`` of the newest intact checkpoint; `warn` is told of damaged ones. A
+        RunError if there is none, or it does not say after how many samples it was made."""
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
         progress = state.get("progress") if isinstance(state, dict) else None
         samples = progress.get("samples") if isinstance(progress, dict) else None
@@ -200,13 +179,8 @@ class Run:
         return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
-        """The rows of the metrics file; a row cut short by a crash is left out.
-
-        Raises
-        ------
-        RunError
-            if it is no file, or larger than any training's.
-        """
+        """The rows of the metrics file; a row cut short by a crash is left out. A RunError if it is
+        no file, or larger than any training's."""
         rows = []
         try:
             with contextlib.suppress(FileNotFoundError), opened(self.metrics_file, _METRICS) as f:

@@ -83,7 +83,7 @@ class Training:
         self.experiment = experiment
         self.run: Run | None = None
         self.reporter = reporter or Reporter()
-        self.job: Job = experiment.job.build(experiment)
+        self.job: Job = experiment.job.build(experiment, like=Job)
         self.progress = Progress()
         self.outcome = ""
         #: Whether a checkpoint that was resumed is of another task, learner or judgement.

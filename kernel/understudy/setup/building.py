@@ -13,7 +13,7 @@ import torch
 from understudy.errors import ConfigError, PluginError
 from understudy.running.environment import Environment
 from understudy.running.promises import Parts
-from understudy.setup.config import Chosen, Experiment
+from understudy.setup.config import Chosen, Experiment, Noting
 from understudy.setup.registry import Registry
 from understudy.task import Context, Scene
 from understudy.task.terms import Term, Wired, make_term, renamed
@@ -48,10 +48,11 @@ def device_of(name: str) -> torch.device:
 def build_sections(experiment: Experiment) -> dict[str, Any]:
     """What the config sections of plugins become."""
     registry = experiment.registry
-    return {
-        name: registry.sections[name].build.factory(options, registry, experiment.inputs)
+    built = {
+        name: registry.sections[name].build.make(object, options, registry, experiment.inputs)
         for name, options in experiment.sections.items()
     }
+    return Noting(built, experiment.asked)
 
 
 def build_environment(
@@ -142,6 +143,8 @@ def build_term(chosen: Chosen, context: Context) -> Term:
     function, options = chosen.component.factory, chosen.options
     if isinstance(function, type):
         function, options = chosen.build(context), None
+        if not callable(function):
+            raise chosen.component.fault("makes what cannot be called, and a term is")
     return make_term(chosen.where, chosen.name, function, options or {}, **chosen.extras)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy import task
 from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
 from understudy.options import at, plain
@@ -20,6 +21,22 @@ __all__ = ["Chosen", "Experiment"]
 USUAL_JOB = "reinforcement"
 
 
+class Noting(dict[str, Any]):
+    """A mapping that notes which of its keys were `asked` for."""
+
+    def __init__(self, items: Mapping[str, Any], asked: set[str]) -> None:
+        super().__init__(items)
+        self._asked = asked
+
+    def __getitem__(self, key: str) -> Any:
+        self._asked.add(key)
+        return super().__getitem__(key)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        self._asked.add(key)
+        return super().get(key, default)
+
+
 @dataclass(frozen=True)
 class Chosen:
     """A component chosen by the configuration, with its validated options."""
@@ -30,9 +47,11 @@ class Chosen:
     where: str  #: its key path
     extras: Mapping[str, Any] = field(default_factory=dict)  #: what its kind takes besides
 
-    def build(self, *context: Any) -> Any:
-        """The component of these options; `context` is what its kind is built with."""
-        return self.component.factory(self.options, *context)
+    def build(self, *context: Any, like: type | None = None) -> Any:
+        """The component of these options; `context` is what its kind is built with, and `like` the
+        interface of kinds that are not the kernel's; those are called as their kinds."""
+        named = getattr(task, self.component.kind.title().replace("_", ""), object)
+        return self.component.make(like or named, self.options, *context)
 
     def effective(self) -> dict[str, Any]:
         """As configuration, every default filled in."""
@@ -52,6 +71,7 @@ class Experiment:
     sections: Mapping[str, Any]
     registry: Registry
     inputs: Inputs = field(default_factory=Inputs)
+    asked: set[str] = field(default_factory=set)  #: the slots and sections that somebody has read
 
     def one(self, slot: str) -> Chosen | None:
         """What fills `slot`, which takes one component."""
@@ -120,9 +140,9 @@ class Experiment:
     def effective(self) -> dict[str, Any]:
         """The configuration as plain data, every default filled in; validates to the same, also
         where plugins that it does not use are absent."""
-        found = plain(dataclasses.asdict(self.root))
+        found, choices = plain(dataclasses.asdict(self.root)), dict(self.choices)
         for slot in self.registry.slots.values():
-            chosen = self.choices[slot.name]
+            chosen = choices[slot.name]
             if not chosen and slot.plugin:
                 continue
             value: Any = {c.name: c.effective() for c in chosen}

@@ -26,6 +26,7 @@ from hydra._internal.defaults_list import DefaultsList, Overrides, create_defaul
 from hydra.core.default_element import ResultDefault
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
 from omegaconf._utils import get_yaml_loader
@@ -49,7 +50,10 @@ MARK = "\ue000"
 @functools.lru_cache(1024)
 def parsed(override: str) -> Override:
     """What Hydra reads in it; a HydraException or RecursionError if it can read nothing."""
-    return OverridesParser.create().parse_overrides([override])[0]
+    try:
+        return OverridesParser.create().parse_overrides([override])[0]
+    except ValueError as error:  # of a number with more digits than Python reads
+        raise HydraException(str(error)) from error
 
 
 class _Loader(get_yaml_loader()):

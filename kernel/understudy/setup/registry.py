@@ -9,8 +9,9 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
+import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -114,20 +115,54 @@ class Component:
         except BaseException as error:  # whatever a library raises where it cannot run
             if is_stop(error):
                 raise
-            raise PluginError(
-                f"{self.kind} '{self.name}' of plugin '{self.plugin}' cannot be used: {said(error)}. "
-                "Install what it is missing, or choose another one."
-            ) from error
+            why = f"cannot be used: {said(error)}"
+            raise self.fault(why, "Install what it is missing") from error
         if not hasattr(loaded, attribute):
-            raise PluginError(
-                f"{self.kind} '{self.name}' of plugin '{self.plugin}' is registered as "
-                f"'{self.target}', which does not exist."
-            )
+            raise self.fault(f"is registered as '{self.target}', which does not exist")
         return getattr(loaded, attribute)
 
     @functools.cached_property
     def options(self) -> Mapping[str, Option]:
-        return options_of(self.factory)
+        try:
+            return options_of(self.factory)
+        except (TypeError, NameError, ValueError) as error:  # neither dataclass nor function, say
+            raise self.fault(f"has options that cannot be read: {said(error)}") from error
+
+    def fault(self, why: str, advice: str = "Mend the plugin") -> PluginError:
+        """The error that says why it cannot be used as it is."""
+        by = f"{self.kind} '{self.name}' of plugin '{self.plugin}'"
+        return PluginError(f"{by} {why}. {advice}, or choose another one.")
+
+    def make(self, like: type, *given: Any) -> Any:
+        """What the factory makes of `given`, or a :class:`PluginError` that says what is not as in
+        `like`, the interface of its kind."""
+        factory, kinds = self.factory, ", ".join(type(item).__name__ for item in given)
+        try:
+            inspect.signature(factory).bind(*given)
+        except (TypeError, ValueError) as error:
+            raise self.fault(f"is not made of ({kinds}): {said(error)}") from error
+        if abstract := ", ".join(sorted(getattr(factory, "__abstractmethods__", ()))):
+            raise self.fault(f"does not define {abstract}")
+        part, declared = factory(*given), inspect.get_annotations(like)
+        names = (name for name in {*declared, *vars(like)} if name[0] != "_")
+        if lacking := ", ".join(sorted(name for name in names if not hasattr(part, name))):
+            raise self.fault(f"lacks {lacking}, which {like.__name__} declares")
+        for name, form in declared.items():
+            if not _fits(value := getattr(part, name), form):
+                raise self.fault(f"has {name} = {value!r}, which must be a {form}")
+        return part
+
+
+def _fits(value: Any, form: str) -> bool:
+    """Whether what a part says of its fields is of that form; ``("position")`` is no tuple."""
+    several = isinstance(value, Sequence) and not isinstance(value, str)
+    if form == "tuple[str, ...]":
+        return several and all(isinstance(item, str) for item in value)
+    if form == "Shape":
+        return several and all(hasattr(item, "__index__") for item in value)
+    if form == "Mapping[str, Shape]":
+        return isinstance(value, Mapping) and all(_fits(v, "Shape") for v in value.values())
+    return form != "int" or hasattr(value, "__index__")
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class BudgetOptions:
     usual_samples: int | None = None
 
     def __post_init__(self) -> None:
-        check_range(self, "samples", "minutes", "usual_samples", above=0)
+        check_range(self, "samples", "minutes", "usual_samples", above=0, most=2**63 - 1)
 
 
 @dataclass(frozen=True)

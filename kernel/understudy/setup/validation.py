@@ -22,7 +22,7 @@ from understudy.options import (
     make_options,
     options_of,
 )
-from understudy.setup.config import Chosen, Experiment
+from understudy.setup.config import Chosen, Experiment, Noting
 from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import KEYS, Root
 from understudy.task.terms import Outcome, Reduction
@@ -63,15 +63,14 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
         for slot in registry.slots.values()
     }
+    sections = {
+        name: make_options(section.options.factory, raw[name], name)
+        for name, section in registry.sections.items()
+        if raw.get(name) is not None
+    }
+    asked = set[str]()
     experiment = Experiment(
-        root=root,
-        choices=choices,
-        sections={
-            name: make_options(section.options.factory, raw[name], name)
-            for name, section in registry.sections.items()
-            if raw.get(name) is not None
-        },
-        registry=registry,
+        root, Noting(choices, asked), Noting(sections, asked), registry, asked=asked
     )
     if root.evaluation.objective != "success_rate":
         experiment.need_measure(root.evaluation.objective, "evaluation.objective")

@@ -35,13 +35,8 @@ class Wired(Generic[T]):
 def renamed(
     where: str, option: str, names: tuple[str, ...], other: Mapping[str, str]
 ) -> dict[str, str]:
-    """`names` as they are, but for those that `other` maps to other fields.
-
-    Raises
-    ------
-    ConfigError
-        if `other` renames something that is none of `names`.
-    """
+    """`names` as they are, but for those that `other` maps to other fields; a ConfigError if it
+    renames something that is none of `names`."""
     for name in other:
         if name not in names:
             raise ConfigError(

@@ -397,6 +397,7 @@ def test_turning_in_the_hand_is_an_option(
         (["--facing", "nan"], "nan is not a finite number"),
         (["--table", "0", "inf", "0"], "inf is not a finite number"),
         (["cook.fbx", "--no-video"], "no format is written to '.fbx'"),
+        (["."], "no format is written to '' files"),
     ],
 )
 def test_what_the_user_can_get_wrong(

@@ -14,7 +14,8 @@ from understudy.command.cli import main
 @pytest.mark.parametrize(
     "word",
     ["run.dir=elsewhere", "+run.dir=elsewhere", "start.run=x", "start={run: x}", "~start", "budget.samples=3",
-     "checkpoint.keep=3", "outer_loop=grid", "executor.workers=2"],
+     "checkpoint.keep=3", "outer_loop=grid", "executor.workers=2", "learner.gamma=0.5", "learner=trpo",
+     "resolution.substeps=2", "evaluation.criterion=0.5", "evaluation.every_samples=1"],
 )  # fmt: skip
 def test_what_changes_trainings_alone_is_refused(
     word: str, command: str, built_on: Path, capsys: pytest.CaptureFixture[str]
@@ -43,3 +44,15 @@ def test_that_episodes_at_once_are_not_those_in_all_is_said(
     assert json.loads(said.out)["episodes"] == episodes
     sentence = "evaluation.episodes=3 says how many run at once here, and 8 are judged: episodes=3"
     assert (sentence in said.err) == told
+
+
+@pytest.mark.parametrize("command", ["evaluate", "render"])
+@pytest.mark.parametrize("word", ["chair={}", "poses={name: miniature/arcs}"])
+def test_what_nothing_reads_is_named(
+    command: str, word: str, built_on: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was taken as another evaluation, with a file of its own."""
+    assert main([command, str(built_on / "go"), word]) == 0
+    key = word.partition("=")[0]
+    told = f"{word} changes nothing: no part of this run reads {key}."
+    assert told in capsys.readouterr().err

@@ -395,3 +395,10 @@ def test_a_component_given_whole_inherits_no_option() -> None:
     assert load_experiment(["experiment=miniature/sleeve", "scene.drag=2"]).effective()["scene"] == {
         **load_experiment(["experiment=miniature/sleeve"]).effective()["scene"], "drag": 2.0
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [-1, 1, 2])
+def test_a_point_that_the_scene_has_not_got_is_refused(number: int) -> None:
+    """The last one was taken for −1, and others ended in a traceback."""
+    with pytest.raises(ConfigError, match=f"number={number} is none of the scene's points"):
+        build_environment(load_experiment(["task=miniature/go", f"fields.body.number={number}"]))

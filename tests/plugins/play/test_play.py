@@ -549,8 +549,22 @@ def test_a_packed_skill_takes_overrides_as_a_run_does(capsys: pytest.CaptureFixt
     assert skill.experiment.root.seed == 3
     assert skill.card["overrides"][-3:] == words
     assert skill.card["evaluation"] is None  # of another task
-    assert main(["play", "spacetime/walk", "scene.character=other", "--seconds", "0.1"]) == 2
+    assert main(["play", "spacetime/walk", "scene.character=other"]) == 2
     assert "other" in capsys.readouterr().err
+    assert main(["play", "spacetime/walk", "learner.gamma=0.5"]) == 2
+    told = "learner.gamma=0.5 changes a training, and nothing of what is played: leave it out."
+    assert told in capsys.readouterr().err  # it was taken, and made no difference
+
+
+@pytest.mark.parametrize("words", [["--video", "x.mp4"], ["--pack", "x"], ["--unpack", "x"]])
+def test_what_is_of_a_skill_asks_for_one(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """All skills were listed, and nothing was made."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["play", *words]) == 2
+    assert f"{words[0]} of which skill?" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 def test_an_unpacked_skill_is_harvested_where_its_curriculum_begins(tmp_path: Path) -> None:
@@ -591,6 +605,8 @@ def test_what_is_packed_says_on_what_terms(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["--push", "3"], "--push is of a video. Add --video FILE"),
+        (["--seconds", "3"], "--seconds is of a video. Add --video FILE"),
         (["--video", "v.mp4", "--push", "nan"], "nan is not a finite number"),
         (["--video", "v.mp4", "--push=-inf"], "-inf is not a finite number"),
         (["--video", "v.mp4", "--push", "strong"], "'strong' is no number"),

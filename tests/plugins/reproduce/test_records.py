@@ -138,8 +138,8 @@ def test_what_was_begun_here_goes_before_the_record(tmp_path: Path) -> None:
 
 
 def test_rows_of_csv_and_json(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(
-        "skill,kind,speed,seed,done\nwalk,full,2.5,1,True\nwalk,full,fast,2,True\nwalk,full,9,0,False\n"
+    (tmp_path / "a.csv").write_text(  # as a spreadsheet saves it
+        "\ufeffskill,kind,speed,seed,done\nwalk,full,2.5,1,True\nwalk,full,fast,2,True\nwalk,full,9,0,False\n"
     )
     (tmp_path / "b.jsonl").write_text(
         'no JSON\n[1]\n{"what": "a run", "found": {"speed": 3}}\n{"what": "a run"}\n'

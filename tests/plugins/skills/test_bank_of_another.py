@@ -95,7 +95,7 @@ def scene(**identity: str) -> Any:
 
 def read(path: Path, own: Any) -> dict[str, torch.Tensor]:
     inputs = SimpleNamespace(file=lambda asked, find: find()[0])
-    context: Any = SimpleNamespace(scene=own, inputs=inputs)
+    context: Any = SimpleNamespace(scene=own, simulator=None, inputs=inputs)
     return bank.fitting(path, context, "it")
 
 

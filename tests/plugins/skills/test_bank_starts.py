@@ -112,3 +112,15 @@ def test_a_missing_bank_is_named(plugins: Plugins, tmp_path: Path) -> None:
     own = f"++initial_states={{name: bank, file: {tmp_path / 'none'}}}"
     with pytest.raises(FileError, match="cannot be used"):
         build_environment(load_experiment([*FAKE_TASK[:-1], own], plugins))
+
+
+@pytest.mark.parametrize("dtype", [torch.int64, torch.int32, torch.bool])
+def test_states_of_another_kind_of_number_are_refused(
+    plugins: Plugins, tmp_path: Path, dtype: torch.dtype
+) -> None:
+    """Positions that were cut to whole numbers, or to 0 and 1, were begun in without a word."""
+    states = {**STATES, "qpos": STATES["qpos"].to(dtype)}
+    with pytest.raises(ConfigError, match=f"'qpos' is {dtype} there and torch.float32 here"):
+        made(plugins, states, tmp_path)
+    made(plugins, {**STATES, "qpos": STATES["qpos"].double()}, tmp_path)
+    made(plugins, {**STATES, "hat": STATES["hat"].to(dtype)}, tmp_path)

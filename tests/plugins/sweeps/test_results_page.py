@@ -131,7 +131,9 @@ def test_a_share_has_an_interval_that_is_possible(tmp_path: Path, share: bool) -
         "-0.979 [-1, -0.89]" if share else "-0.979 [-1.07, -0.89]"
     )
     high = float(
-        next(csv.DictReader(io.StringIO(tables.compared_csv(variants, None))))["inside_high"]
+        next(csv.DictReader(io.StringIO(tables.compared_csv(variants, None).decode())))[
+            "inside_high"
+        ]
     )
     assert (high <= 1.0) is share
 
@@ -153,11 +155,13 @@ def test_numbers_of_the_paper_of_a_measure(ablation: tuple[Path, Journal]) -> No
 
 def test_csv_has_every_digit(ablation: tuple[Path, Journal]) -> None:
     results = results_of(ablation)
-    first, second = csv.DictReader(io.StringIO(tables.compared_csv(variants_of(results), PAPER)))
+    first, second = csv.DictReader(
+        io.StringIO(tables.compared_csv(variants_of(results), PAPER).decode())
+    )
     assert float(first["objective_low"]) == pytest.approx(0.8 - 4.302653 * 0.1 / 3**0.5, abs=1e-6)
     assert (first["paper"], second["paper"]) == ("0.9", "")
     assert float(second["objective_difference"]) == pytest.approx(-0.25)
-    rows = list(csv.DictReader(io.StringIO(tables.trials_csv(results))))
+    rows = list(csv.DictReader(io.StringIO(tables.trials_csv(results).decode())))
     assert [r["seed"] for r in rows] == ["0", "0", "1", "1", "2", "2"]
     assert rows[-1]["status"].startswith("failed: ")
 
@@ -166,7 +170,26 @@ def test_a_spreadsheet_gets_no_formula(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal.jsonl")
     add(tmp_path, journal, Trial("=cmd()/seed0", variant="=cmd()", seed=0), 0.5)
     results = Results(tmp_path).of(journal)
-    assert tables.trials_csv(results).splitlines()[1].startswith("'=cmd()")
+    assert tables.trials_csv(results).decode().splitlines()[1].startswith("'=cmd()")
+
+
+def test_a_spreadsheet_gets_no_formula_in_heads_and_knows_the_letters(tmp_path: Path) -> None:
+    """Names of measures were heads as they were, and a spreadsheet took UTF-8 for another code."""
+    journal = Journal(tmp_path / "journal.jsonl")
+    add(tmp_path, journal, Trial("fünf/seed0", variant="fünf", seed=0), 0.5, **{"=cmd()": 1.0})
+    results = Results(tmp_path).of(journal)
+    head, row = tables.compared_csv(variants_of(results), None).decode("utf-8").splitlines()
+    assert head.startswith("\ufeffvariant,")
+    assert "'=cmd()" in head.split(",")
+    assert "=cmd()" not in head.split(",")
+    assert row.startswith("fünf,")
+    assert tables.as_csv([["a", 1.5, None], ["=b", -2, ""]]) == b"a,1.5,\n'=b,-2,\n"
+
+
+def test_trials_that_say_different_things_are_in_one_file(tmp_path: Path) -> None:
+    """A figure that the first trial lacks left the sweep without a page."""
+    found = tables._csv([{"trial": "a"}, {"trial": "b", "y": 0.5}])
+    assert found == b"trial,y\na,\nb,0.5\n"
 
 
 def test_markdown_is_only_text() -> None:
@@ -210,7 +233,7 @@ def test_a_search_is_ranked_by_what_its_loop_maximises(search: tuple[Path, Journ
     assert column(table, "trial") == ["t1", "t2", "t0", "t3"]
     assert column(table, "y") == ["0.4", "0.3", "0.8", "–"]
     assert column(table, "found") == ["answer", "", "highest y", ""]
-    assert ",0.4,answer," in tables.trials_csv(results)
+    assert b",0.4,answer," in tables.trials_csv(results)
     assert describe(journal, (), 2, summary).endswith("best 0.4 (t1)")
     page = Page(folder, "x")
     page.write(journal, summary)
@@ -465,7 +488,7 @@ def test_unsound_episodes_have_a_column_where_there_are_some(tmp_path: Path) -> 
     trials = tables.trials(results)
     at = list(trials.heads).index("unsound")
     assert [row[at] for row in trials.rows] == ["0 %", "25 %"] * 2
-    assert "unsound" in tables.compared_csv(variants_of(results), None).splitlines()[0]
+    assert b"unsound" in tables.compared_csv(variants_of(results), None).splitlines()[0]
     sound = [r for r in results if r.trial.variant == "full"]
     assert "unsound" not in tables.compared(variants_of(sound), None).heads
     assert "unsound" not in tables.trials(sound).heads

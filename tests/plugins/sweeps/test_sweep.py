@@ -36,7 +36,8 @@ from understudy_skills import bank
 from understudy_sweeps import in_process
 from understudy_sweeps import sweep as module
 from understudy_sweeps.journal import Journal
-from understudy_sweeps.loops import OuterLoop, Report, Trial
+from understudy_sweeps.loops import OuterLoop, Report, Trial, Work
+from understudy_sweeps.trial import overrides_of
 
 #: Three iterations of 8 samples, each raising the push by `learner.rate`; the objective, where worlds
 #: are after 4 s, is 4 × push.
@@ -294,6 +295,8 @@ def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.Monke
         (["outer_loop.variants={a: [run.dir=x]}"], "run.dir=x is overruled, .* leave it out"),
         (["outer_loop.variants={a: [executor=ray]}"], "executor=ray is overruled"),
         (["outer_loop.variants={a: [++outer_loop=chain]}"], r"\+\+outer_loop=chain is overruled"),
+        (["outer_loop.variants={a: [outer_loop.trials=3]}"], "outer_loop.trials=3 is overruled"),
+        (["outer_loop.variants={a: [executor.workers=3]}"], "executor.workers=3 is overruled"),
         (["seed=3"], r"Write seeds=\[3\]"),
         (["outer_loop.seeds=[1,0,1]"], "seeds has 1 twice"),
         (["outer_loop.variants={a: [], a: [learner.rate=2]}"], "'a' stands twice"),
@@ -306,6 +309,14 @@ def test_nothing_that_is_asked_for_is_overruled_in_silence(
     with pytest.raises(ConfigError, match=said):
         sweep(tmp_path, *words)
     assert not list(tmp_path.rglob("run.json"))
+
+
+@pytest.mark.parametrize("name", ["run.dir", "outer_loop.trials", "executor.workers", "seed"])
+def test_nothing_that_is_searched_is_overruled_in_silence(tmp_path: Path, name: str) -> None:
+    """Values were drawn and told of, and every trial was the same."""
+    point = Trial("trial0", point={name: 1.0}, seed=3)
+    with pytest.raises(ConfigError, match=f"{name} is overruled, since a sweep says that"):
+        overrides_of(point, Work((), str(tmp_path)))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

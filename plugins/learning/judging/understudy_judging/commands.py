@@ -23,8 +23,9 @@ from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
 from understudy_judging.half_step import Finer, compared
 from understudy_skills.folder import run_folder
+from understudy_skills.words import refuse_of_trainings
 from understudy_training.watching import observers
-from understudy_training.workflow import judge
+from understudy_training.workflow import judge, unread
 
 __all__ = ["load"]
 
@@ -47,10 +48,6 @@ _FORMS = {
 }
 #: Keys that say where a run is judged, not what of it.
 _WHERE = ("device", "num_worlds", "simulator.threads")
-#: Keys that are a training's alone: no judgement is another one by them.
-_OF_TRAININGS = re.compile(
-    r"[+~]*(run\.dir|start|budget|checkpoint\.\w+|outer_loop|executor)(?=[.=]|$)"
-)
 #: s, of the film of a run that was trained without one (``run.video_seconds=0``).
 _FILM = 8.0
 #: Of a run folder: where what was drawn otherwise is.
@@ -79,6 +76,8 @@ class Evaluate(Command):
             finer = job.evaluate_finer("final", episodes) if isinstance(job, Finer) else None
         finally:
             training.close()
+        for note in unread(training.experiment, words):
+            tell(note)
         changed = _changed(words, _EVALUATION)
         result = evaluation.as_json(training.progress.samples, changed)
         if finer is not None:
@@ -144,6 +143,8 @@ class Render(Command):
             judge(training, run, reporter, changed, _seconds(training, options.overrides))
         finally:
             training.close()
+        for note in unread(training.experiment, options.overrides):
+            tell(note)
         if name:
             tell(f"This is in a folder of its own.{_KEPT}")
         print(f"run: {run.path}")
@@ -221,14 +222,8 @@ def load(
 
     Words are overrides; those of `short` set what the run recorded and nothing else.
     """
-    for word in words:
-        if _OF_TRAININGS.match(word):
-            own_folder = (
-                " What is judged otherwise lies in the run's folder." if "run.dir" in word else ""
-            )
-            raise ConfigError(
-                f"{word} changes a training, and nothing of a judgement: leave it out.{own_folder}"
-            )
+    beside = " What is judged otherwise lies in the run's folder."
+    refuse_of_trainings(words, "a judgement", beside)
     run = runs.open_run(run_folder(path))
     given = {key: value for key, _, value in (word.partition("=") for word in words)}
     own = {key: given[key] for key in (*short, "checkpoint") if key in given}

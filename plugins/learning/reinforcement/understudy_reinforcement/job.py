@@ -87,7 +87,8 @@ class Reinforcement(Job):
         observations = promised.begin(self.environment)
         self.policy = build_policy(experiment, built.context)
         self._readers = self.policy.readers(observations)
-        self.learner = experiment.need("learner").build(built.context, self.policy)
+        learner = experiment.need("learner")
+        self.learner = learner.build(built.context, self.policy, like=Learner)
         self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
         learner = self.learner

@@ -118,4 +118,4 @@ def enough_memory(what: str) -> Iterator[None]:
 def build_policy(experiment: Experiment, context: Context) -> Policy:
     """The policy, its weights drawn from the seed alone."""
     with private_rng(context.seed, "policy"), enough_memory("policy"):
-        return experiment.need("policy").build(context).to(context.device)
+        return experiment.need("policy").build(context, like=Policy).to(context.device)

@@ -56,7 +56,8 @@ def fitting(
     Raises
     ------
     ConfigError
-        if it says that a field is of another thing than the task's: a garment, a body; or lacks one of `leave`.
+        if it says that a field is of another thing than the task's: a garment, a body; has a state's field in whole
+        numbers or truth values that the simulator has in others; or lacks one of `leave`.
     FileError
         as :func:`load` does.
     """
@@ -73,6 +74,15 @@ def fitting(
                 f"{what}: the bank {path} does not fit this task: its '{name}' is of {of[name]}, and here it is of "
                 f"{own}. Harvest it in a task of this scene."
             )
+    simulator = context.simulator
+    for name in simulator.state_fields if simulator else ():
+        if simulator and name in states:
+            kinds = (states[name].dtype, simulator.read(name).dtype)
+            if kinds[0].is_floating_point != kinds[1].is_floating_point:
+                raise ConfigError(
+                    f"{what}: the bank {path} does not fit this simulator: '{name}' is {kinds[0]} there and {kinds[1]} "
+                    "here. Harvest it in a task of this scene."
+                )
     return states
 
 

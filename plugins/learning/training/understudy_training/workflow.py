@@ -27,7 +27,7 @@ from understudy.signals import StopRequest
 from understudy_training import processes, watching
 from understudy_training.left_out import leave_out
 
-__all__ = ["judge", "leave_damaged_rows_out"]
+__all__ = ["judge", "leave_damaged_rows_out", "unread"]
 
 
 def train(overrides: Sequence[str]) -> int:
@@ -40,7 +40,7 @@ def train(overrides: Sequence[str]) -> int:
                 runs.refuse_a_second(Path(folder))  # not after the minutes that building may take
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
-            for note in training.job.notes():
+            for note in (*training.job.notes(), *unread(experiment, overrides)):
                 tell(note)
             with StopRequest() as stop:  # the folder is made whole or not at all
                 run = runs.create(experiment, overrides, training.job.sources())
@@ -80,6 +80,8 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         reporter = Reporter(message=tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
+        for note in unread(experiment, overrides):
+            reporter.message(note)
         refused.pop_all()
     progress = training.progress
     judged = run.judged() == progress.samples and not training.changed
@@ -99,6 +101,16 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
         run.write_json("run.json", run.info)
     return _carry_out(training)
+
+
+def unread(experiment: Experiment, overrides: Sequence[str]) -> Iterator[str]:
+    """Of the words of a command line those that set what no part asked for when it was built."""
+    chosen = {slot for slot, parts in experiment.choices.items() if parts}
+    unread = (chosen | experiment.sections.keys()) - experiment.asked
+    for word in overrides:
+        key = word.lstrip("+").partition("=")[0].partition(".")[0]
+        if key in unread:
+            yield f"{word} changes nothing: no part of this run reads {key}."
 
 
 def _refuse_another(run: Run, experiment: Experiment) -> None:

@@ -92,7 +92,8 @@ class HoldTool(Command):
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         if options.destination is not None:
             yield options.destination
-            yield None if options.no_video else options.destination.with_suffix(".mp4")
+            if not options.no_video:
+                yield options.destination.parent / f"{options.destination.stem}.mp4"
 
     def run(self, options: argparse.Namespace) -> int:
         try:

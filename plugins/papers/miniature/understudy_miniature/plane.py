@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, Shape, box
@@ -157,6 +158,12 @@ class Body(Fields):
         number: int = 0  #: which of the points, from 0
 
     def __init__(self, options: Options, context: Context) -> None:
+        bodies = context.need_scene(PlaneScene, "fields 'miniature/body'").options.bodies
+        if not 0 <= options.number < bodies:
+            raise ConfigError(
+                f"fields 'miniature/body': number={options.number} is none of the scene's points, which are 0 to "
+                f"{bodies - 1}."
+            )
         self._number = options.number
 
     def compute(self, positions: Tensor, velocities: Tensor) -> dict[str, Tensor]:

@@ -26,6 +26,8 @@ _BEGIN_TO_TURN, _TURNED = math.radians(75.0), math.radians(30.0)
 _REACHED, _LEFT_BEHIND = 0.4, 0.8
 #: What comes with the package.
 _SKILLS = ("sitting/walk", "sitting/turn_left_mirrored", "sitting/turn_right_learned")
+#: Of a video, in s.
+_SECONDS = 24.0
 #: m, in the world: where a video sends it, one after the other.
 _ROUND = ((3.0, 0.0), (3.0, 3.0), (0.0, 3.0), (0.0, 0.0))
 
@@ -97,9 +99,7 @@ class Follow(Command):
             type=video_file,
             help="write a video (.mp4) of a square instead",
         )
-        parser.add_argument(
-            "--seconds", type=length, default=24.0, help="of the video (%(default)s)"
-        )
+        parser.add_argument("--seconds", type=length, help=f"of the video ({_SECONDS:g})")
         add_page_arguments(parser)
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
@@ -108,21 +108,23 @@ class Follow(Command):
     def run(self, options: argparse.Namespace) -> int:
         _count(options.runs)
         if options.video is None:
+            if options.seconds is not None:
+                raise ConfigError("--seconds is of a video. Add --video FILE, or leave it out.")
             return serve(lambda: Follower(options.runs), options)
         return self._film(options)
 
     def _film(self, options: argparse.Namespace) -> int:
-        world = Follower(options.runs)
+        world, seconds = Follower(options.runs), options.seconds or _SECONDS
         try:
             parts = []
             for place in _ROUND:
                 world.target = place
-                parts.append(record(world, options.seconds / len(_ROUND)))
+                parts.append(record(world, seconds / len(_ROUND)))
         finally:
             world.close()
         tracks = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         film(world, tracks, options.video)
-        print(f"{options.video}: {options.seconds:g} s, {world.fallen}")
+        print(f"{options.video}: {seconds:g} s, {world.fallen}")
         return 0
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -25,7 +23,7 @@ from understudy_reproduce.tables import Figure, PaperTable, Printed, variant_nam
 from understudy_sweeps.intervals import from_below, mean_of, verdict, verdict_between
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import OBJECTIVE, SAMPLES, SECONDS, SUCCESS, Result, Results
-from understudy_sweeps.tables import Table, in_markdown, shown_mean
+from understudy_sweeps.tables import Table, as_csv, in_markdown, shown_mean
 
 _INTERVALS = (
     "Ours are means over seeds [95 % interval of the mean, Student's t] (finished seeds); one seed has no "
@@ -241,7 +239,7 @@ class Card:
         over = f"understudy reproduce {self.name} · {__version__}"
         files = {
             "card.html": html_page(table.title, over, created, content),
-            "card.csv": self._csv().encode(errors="replace"),
+            "card.csv": self._csv(),
             "card.md": "\n\n".join(markdown).encode(errors="replace") + b"\n",
         }
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -254,35 +252,21 @@ class Card:
         title, table = next(self.tables())
         return f"{title}\n{table.text()}"
 
-    def _csv(self) -> str:
+    def _csv(self) -> bytes:
         """A line for each row, column and figure, every number in full."""
-        file = io.StringIO()
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            [
-                "row",
-                "column",
-                "figure",
-                "paper",
-                "mean",
-                "low",
-                "high",
-                "seeds",
-                "trials",
-                "minutes",
-            ]
-        )
+        heads = "row column figure paper mean low high seeds trials minutes"
+        lines: list[list[Any]] = [heads.split()]
         for (row, column), cell in self.cells.items():
             for figure in self.table.figures:
                 first = figure is self.table.figures[0]
                 printed = self.table.printed(row, column).says if first else None
                 mean = mean_of(cell.values(figure.of))
                 found = (mean.value, mean.low, mean.high, mean.count) if mean else ("", "", "", 0)
-                writer.writerow(
+                lines.append(
                     [row, column, figure.of, "" if printed is None else printed, *found,
                      len(cell.results), round(cell.minutes, 3)]
                 )  # fmt: skip
-        return file.getvalue()
+        return as_csv(lines)
 
 
 def _title(figure: Figure) -> str:

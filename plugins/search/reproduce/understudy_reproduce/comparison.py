@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +29,7 @@ from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import OuterLoop, Report
 from understudy_sweeps.page import STYLE
 from understudy_sweeps.sweep import sweep
-from understudy_sweeps.tables import Table, in_markdown, shown_mean
+from understudy_sweeps.tables import Table, as_csv, in_markdown, shown_mean
 from understudy_sweeps.trial import written
 
 _NOTES = (
@@ -209,8 +207,8 @@ class Comparison:
         over = f"understudy reproduce {self.name} · {__version__}"
         files = {
             "card.html": html_page(table.title, over, created, content, STYLE),
-            "card.csv": _csv(self._summary()).encode(errors="replace"),
-            "curves.csv": _csv(self._points()).encode(errors="replace"),
+            "card.csv": as_csv(self._summary()),
+            "curves.csv": as_csv(self._points()),
             "card.md": "\n\n".join(markdown).encode(errors="replace") + b"\n",
         }
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -337,9 +335,3 @@ def _counted(values: Sequence[float], there: int, begun: int) -> str:
     parts += [f"{there - len(values)} without one"] if there > len(values) else []
     parts += [f"{begun - there} still running"] if begun > there else []
     return "; ".join(parts)
-
-
-def _csv(rows: Iterator[list[Any]]) -> str:
-    file = io.StringIO()
-    csv.writer(file, lineterminator="\n").writerows(rows)
-    return file.getvalue()

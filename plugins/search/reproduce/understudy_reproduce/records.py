@@ -66,7 +66,7 @@ def _reports(path: Path, record: Record) -> Iterator[tuple[str, Report]]:
         yield from Journal.read(path).finished.items()
         return
     try:
-        text = read(path).decode(errors="replace")
+        text = read(path).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}.") from error
     is_csv = path.suffix == ".csv"

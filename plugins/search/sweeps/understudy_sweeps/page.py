@@ -133,7 +133,8 @@ class Page:
         if shows(self.folder / "film.mp4", tiles):
             self._film = tiles, reason
             return
-        print("Drawing the video …", file=sys.stderr)
+        if any(tile.recording.exists() for tile in tiles):
+            print("Drawing the video …", file=sys.stderr)
         try:
             make_film(self.folder / "film.mp4", tiles)
         except UnderstudyError as error:
@@ -167,10 +168,10 @@ class Page:
         files = {
             "page.html": html_page(self._title, over, created, content, STYLE),
             "page.md": "\n\n".join(filter(None, markdown)).encode(errors="replace") + b"\n",
-            "trials.csv": tables.trials_csv(results).encode(errors="replace"),
+            "trials.csv": tables.trials_csv(results),
         }
         if variants:
-            files["table.csv"] = tables.compared_csv(variants, self._paper).encode(errors="replace")
+            files["table.csv"] = tables.compared_csv(variants, self._paper)
         for name, data in files.items():
             write_atomically(self.folder / name, data)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,7 @@ from understudy_sweeps.results import (
     shares_of,
 )
 
-__all__ = ["Table", "in_markdown", "shown_mean"]
+__all__ = ["Table", "as_csv", "in_markdown", "shown_mean"]
 
 _NOTHING = "–"
 #: Between which a figure can lie, so that its interval need not say more.
@@ -173,7 +173,7 @@ def _same(name: str, of: Any, objective: str) -> bool:
     )
 
 
-def compared_csv(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> str:
+def compared_csv(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> bytes:
     """As :func:`compared` and all measures, every number in full."""
     published, first = mapping(paper), variants[0]
     results = [r for v in variants for r in v.results]
@@ -281,7 +281,7 @@ def began_from(start: Mapping[str, Any] | None) -> str:
     return str(mapping(start).get("trial") or mapping(start).get("run") or _NOTHING)
 
 
-def trials_csv(results: Sequence[Result]) -> str:
+def trials_csv(results: Sequence[Result]) -> bytes:
     """A row for each trial, in the order in which they were asked for, every number in full."""
     points = list(dict.fromkeys(name for r in results for name in r.trial.point))
     rows = []
@@ -307,18 +307,23 @@ def trials_csv(results: Sequence[Result]) -> str:
     return _csv(rows)
 
 
-def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    if not rows:
-        return ""
+def _csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    heads = list(dict.fromkeys(name for row in rows for name in row))
+    return as_csv([heads, *([row.get(name) for name in heads] for row in rows)] if rows else [])
+
+
+def as_csv(rows: Iterable[Iterable[Any]]) -> bytes:
+    """`rows` as a file for spreadsheets, which know by its first bytes that what is no ASCII is UTF-8. In its head, too,
+    names may come from strangers."""
     file = io.StringIO()
-    writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([{k: _cell(v) for k, v in row.items()} for row in rows])
-    return file.getvalue()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    text = file.getvalue()
+    return text.encode("ascii" if text.isascii() else "utf-8-sig", errors="replace")
 
 
 def _cell(value: Any) -> Any:
     """Text that a spreadsheet would take for a formula is kept text."""
-    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r", "\n"):
         return f"'{value}"
     return value

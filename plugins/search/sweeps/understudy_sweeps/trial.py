@@ -29,7 +29,7 @@ from understudy_reinforcement.job import Reinforcement
 from understudy_report.progress import Lines
 from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
-from understudy_training.workflow import leave_damaged_rows_out
+from understudy_training.workflow import leave_damaged_rows_out, unread
 
 __all__ = ["folder_of", "run_trial", "written"]
 
@@ -150,7 +150,7 @@ def _stopped_at(run: Run) -> float:
 def overrides_of(trial: Trial, work: Work) -> list[str]:
     """The configuration of the run that the trial is. It is a run like any other, so it has neither
     outer loop nor executor."""
-    own = [f"{name}={value!r}" for name, value in trial.point.items()]
+    own: list[str] = []
     if trial.seed is not None:
         own.append(f"seed={trial.seed}")
     if trial.fidelity is not None:
@@ -165,13 +165,21 @@ def overrides_of(trial: Trial, work: Work) -> list[str]:
         f"run.dir={written(str(folder_of(trial.key, work.folder)))}",
     ]
     keys = {override.partition("=")[0] for override in own}
-    for override in trial.overrides:
-        if (key := override.lstrip("+~").partition("=")[0]) in keys:
+    for override in (*trial.overrides, *trial.point):
+        key = override.lstrip("+~").partition("=")[0]
+        if key in keys or key.partition(".")[0] in ("outer_loop", "executor"):
             instead = "give outer_loop.seeds the seeds" if key == "seed" else "leave it out"
             raise ConfigError(
                 f"{override} is overruled, since a sweep says that of each of its trials: {instead}."
             )
-    return replaced(work.overrides, [*trial.overrides, *own])
+    for override in trial.overrides:
+        if override.lstrip("+~").partition("=")[0] in trial.point:
+            raise ConfigError(f"{override} is overruled by what is searched: leave it out.")
+    return replaced(work.overrides, [*trial.overrides, *_point(trial), *own])
+
+
+def _point(trial: Trial) -> list[str]:
+    return [f"{name}={value!r}" for name, value in trial.point.items()]
 
 
 def written(value: Any) -> str:
@@ -205,6 +213,8 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
     overrides = overrides_of(trial, work)
     experiment = load_experiment(overrides)
     training = Training(experiment, reporter).prepare()
+    for note in unread(experiment, [*trial.overrides, *_point(trial)]):
+        tell(f"{trial.key}: {note}")
     if trial.fidelity is not None:
         _check_difficulty(training)
     return training.attach(runs.create(experiment, overrides, training.job.sources()))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError, RunError
+from understudy.errors import ConfigError, RunError, shown
 from understudy.setup.plugins import installed
 from understudy_inspect.catalogue import offers
 
@@ -36,7 +36,7 @@ class Listing(Command):
     def run(self, options: argparse.Namespace) -> int:
         rows = self._rows()
         for line in [json.dumps(rows, indent=1)] if options.json else self._lines(rows):
-            print(line)
+            print(shown(line))
         return 0
 
 
@@ -149,11 +149,12 @@ class Describe(Command):
                 "See `understudy describe --help`."
             )
         if seen:
-            print(observed(part, plugins, words, columns=options.columns))
+            text = observed(part, plugins, words, columns=options.columns)
+        elif options.fields:
+            text = read_by_parts(part, plugins, words)
         else:
-            print(
-                read_by_parts(part, plugins, words) if options.fields else describe(part, plugins)
-            )
+            text = describe(part, plugins)
+        print(shown(text))
         return 0
 
 
@@ -180,7 +181,7 @@ class ShowConfiguration(Command):
         rows = list(_flat(effective, ""))
         width = min(72, max(len(f"{key}: {value}") for key, value in rows))
         for key, value in rows:
-            print(f"{f'{key}: {value}':<{width}}  # {origin[key]}")
+            print(shown(f"{f'{key}: {value}':<{width}}  # {origin[key]}"))
         return 0
 
 

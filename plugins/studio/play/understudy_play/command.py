@@ -34,12 +34,14 @@ from understudy_skills.skill import (
     unpack,
     with_own_starts,
 )
+from understudy_skills.words import refuse_of_trainings
 
 __all__ = ["add_page_arguments", "film", "record", "serve"]
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
-#: Of a video, in pixels.
+#: Of a video, in s, and in pixels.
+_SECONDS = 8.0
 _WIDTH, _HEIGHT = 800, 450
 
 
@@ -61,11 +63,9 @@ class Play(Command):
         parser.add_argument(
             "--video", metavar="FILE", type=video_file, help="write a video (.mp4) instead"
         )
+        parser.add_argument("--seconds", type=length, help=f"of the video ({_SECONDS:g})")
         parser.add_argument(
-            "--seconds", type=length, default=8.0, help="of the video (%(default)s)"
-        )
-        parser.add_argument(
-            "--push", type=finite, default=0.0, metavar="NS",
+            "--push", type=finite, metavar="NS",
             help="push the character sideways every 3 s, in newton seconds (video only)",
         )  # fmt: skip
         parser.add_argument(
@@ -96,6 +96,14 @@ class Play(Command):
             yield from (file, None if is_left_over(tensors) else tensors)
 
     def run(self, options: argparse.Namespace) -> int:
+        for option in ("seconds", "push"):
+            if getattr(options, option) is not None and options.video is None:
+                raise ConfigError(f"--{option} is of a video. Add --video FILE, or leave it out.")
+        asked = [o for o in ("video", "pack", "unpack", "follow") if getattr(options, o)]
+        if options.skill is None and asked:
+            raise ConfigError(
+                f"--{asked[0]} of which skill? `understudy play` alone lists those that there are."
+            )
         if options.skill is None:
             for name in names():
                 skill = open_skill(name)
@@ -111,6 +119,8 @@ class Play(Command):
             raise ConfigError(
                 f"--follow takes the folder of a run, as runs/spacetime-walk-001, and {options.skill} is none."
             )
+        if options.pack is options.unpack is None:
+            refuse_of_trainings(options.overrides, "what is played")
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
             refuse_of_others(skill)
@@ -225,13 +235,13 @@ def _say(line: str) -> None:
 
 
 def _film(skill: Skill, options: argparse.Namespace) -> int:
-    player = Player(skill)
+    player, seconds = Player(skill), options.seconds or _SECONDS
     try:
-        tracks = record(player, options.seconds, options.push)
+        tracks = record(player, seconds, options.push or 0.0)
     finally:
         player.close()
     film(player, tracks, options.video)
-    print(f"{options.video}: {options.seconds:g} s of {skill.name}, {player.fallen}")
+    print(f"{options.video}: {seconds:g} s of {skill.name}, {player.fallen}")
     return 0
 
 

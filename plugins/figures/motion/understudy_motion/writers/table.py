@@ -49,10 +49,11 @@ class CsvWriter(ClipWriter):
 
     def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
         for name in clip.joint_names:
-            if not name or name != name.strip() or any(c in ',"#' or c < " " for c in name):
+            wrong = not name or name != name.strip() or any(c in ',"#' or c < " " for c in name)
+            if wrong or name[0] in "=+-@":  # a spreadsheet would compute what a stranger wrote
                 raise FileError(
                     f"Clip {clip.source}: joint {name!r} cannot be a column of a table: names there "
-                    "have no commas, quotes, hashes, and no blanks around them."
+                    "have no commas, quotes, hashes, no blanks around them, and none of = + - @ before them."
                 )
         columns = ["time", *ROOT_POSITION]
         columns += [f"{name}.{part}" for name in clip.joint_names for part in QUATERNION]
