@@ -46,7 +46,7 @@ def test_only_commands_ask_for_the_plugins_of_the_process() -> None:
     others = {
         "/".join(file.parts[-2:])
         for file in asking
-        if "(Command)" not in file.read_text(encoding="utf-8")
+        if "(Command):" not in file.read_text(encoding="utf-8")  # a class of one
     }
     assert others == DEFAULTS
 
