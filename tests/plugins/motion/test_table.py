@@ -95,7 +95,7 @@ def test_npz_loses_nothing(tmp_path: Path, clip: Clip) -> None:
 
 NAMES = st.text(
     st.characters(codec="ascii", exclude_characters=',"# \0', min_codepoint=33), min_size=1
-)
+).filter(lambda name: name[0] not in "=+-@")  # formulas of a spreadsheet, which are refused
 
 
 @CASES
