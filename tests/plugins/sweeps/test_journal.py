@@ -124,7 +124,7 @@ STRANGE = ["x" * 300, "\ud800", "", 3, ["a"], None]
     [
         *({"key": key} for key in STRANGE),
         *({"measures": m} for m in (None, ["f"], {"f": "x"}, {"f": 10**400})),
-        {"status": None}, {"objective": "x"}, {"cost": True}, {"cost": math.nan}, {"cost": math.inf}, {"run": 1}, {"else": 1},
+        {"status": None}, {"objective": "x"}, {"cost": True}, {"cost": math.nan}, {"cost": math.inf}, {"cost": -1.0}, {"run": 1}, {"else": 1},
     ],
 )  # fmt: skip
 def test_reports_of_other_types_are_left_out(report: dict[str, Any], tmp_path: Path) -> None:

@@ -210,6 +210,8 @@ def _report(row: Mapping[str, Any]) -> Report:
     _check_numbers(report.measures.values())
     _check_numbers([] if report.objective is None else [report.objective])
     _check_finite([report.cost])
+    if report.cost < 0.0:
+        raise ValueError(f"{report.cost} samples")
     return report
 
 
