@@ -411,7 +411,7 @@ MUTANTS = (
            "            pass", f"{F23} -k as_their_kind"),
     Mutant("what a part says of its fields may be anything", REGISTRY, "            if not _fits(value := getattr(part, name), form):",
            "            if not _fits(value := getattr(part, name), \"\"):", f"{F23} -k as_their_kind"),
-    Mutant("a word without effect is taken", "plugins/learning/training/understudy_training/workflow.py", "        if key in unread:",
+    Mutant("a word without effect is taken", "plugins/learning/training/understudy_training/workflow.py", "        if key in never:",
            "        if key in ():", "tests/plugins/training/test_words_without_effect.py"),
     Mutant("heads of tables may be formulas", "plugins/search/sweeps/understudy_sweeps/tables.py", "[_cell(value) for value in row]",
            "[value for value in row]", "tests/plugins/sweeps/test_results_page.py -k formula"),

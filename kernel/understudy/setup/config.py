@@ -140,7 +140,7 @@ class Experiment:
     def effective(self) -> dict[str, Any]:
         """The configuration as plain data, every default filled in; validates to the same, also
         where plugins that it does not use are absent."""
-        found, choices = plain(dataclasses.asdict(self.root)), dict(self.choices)
+        found, choices = plain(dataclasses.asdict(self.root)), dict(self.choices)  # unnoted
         for slot in self.registry.slots.values():
             chosen = choices[slot.name]
             if not chosen and slot.plugin:

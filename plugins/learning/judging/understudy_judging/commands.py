@@ -21,6 +21,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.root import Root
 from understudy_judging.half_step import Finer, compared
 from understudy_skills.folder import run_folder
 from understudy_skills.words import refuse_of_trainings
@@ -48,8 +49,6 @@ _FORMS = {
 }
 #: Keys that say where a run is judged, not what of it.
 _WHERE = ("device", "num_worlds", "simulator.threads")
-#: s, of the film of a run that was trained without one (``run.video_seconds=0``).
-_FILM = 8.0
 #: Of a run folder: where what was drawn otherwise is.
 RENDERS = "renders"
 
@@ -152,10 +151,10 @@ class Render(Command):
 
 
 def _seconds(training: Training, words: Sequence[str]) -> float:
-    """Of the film: as the run has it or the `words` say. A run that was trained without one is asked for it here."""
+    """Of the film: as the run has it or the `words` say; as long as usual where it was trained without one."""
     asked = any(word.partition("=")[0] in ("seconds", _PICTURE["seconds"]) for word in words)
     seconds = training.experiment.root.run.video_seconds
-    return seconds if asked else seconds or _FILM
+    return seconds if asked else seconds or Root().run.video_seconds
 
 
 def _name(words: Sequence[str], chosen: str) -> str:

@@ -15,6 +15,7 @@ from understudy.records.runs import Run
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
+from understudy.setup.root import Root
 from understudy_skills.skill import open_skill, unpack
 from understudy_training.watching import reporter
 
@@ -77,7 +78,7 @@ def _record(run: Run) -> None:
     training = Training(replace(experiment, root=replace(root, evaluation=evaluation)))
     try:
         training.load_learned(run.newest()[0])
-        _, recording = training.judge(root.run.video_seconds or 8.0)
+        _, recording = training.judge(root.run.video_seconds or Root().run.video_seconds)
     finally:
         training.close()
     if recording is None:

@@ -106,10 +106,10 @@ def resume(path: str, overrides: Sequence[str]) -> int:
 def unread(experiment: Experiment, overrides: Sequence[str]) -> Iterator[str]:
     """Of the words of a command line those that set what no part asked for when it was built."""
     chosen = {slot for slot, parts in experiment.choices.items() if parts}
-    unread = (chosen | experiment.sections.keys()) - experiment.asked
+    never = (chosen | experiment.sections.keys()) - experiment.asked
     for word in overrides:
         key = word.lstrip("+").partition("=")[0].partition(".")[0]
-        if key in unread:
+        if key in never:
             yield f"{word} changes nothing: no part of this run reads {key}."
 
 

@@ -306,7 +306,8 @@ def build_kernels(features: Features) -> Kernels:
         start = s.position[world, i]
         x = start
         weight = float(1.0)
-        if s.substep[world] == 1 % s.substeps:  # the period's first is under way
+        # the sub-step is counted already: the period's first is 1, or 0 where it is the only one
+        if s.substep[world] == 1 % s.substeps:
             s.contact_force[world, i] = wp.vec3(0.0)
         if s.active[world, i] == 0.0:
             weight = -1.0

@@ -13,6 +13,7 @@ import numpy as np
 from understudy.command.command import Command, tell
 from understudy.errors import ConfigError, UnderstudyError, shown
 from understudy.setup.plugins import installed
+from understudy.setup.root import Root
 from understudy_characters.scene import CharacterScene
 from understudy_credits.walk import answer, open_made
 from understudy_motion.arguments import finite, port
@@ -40,8 +41,8 @@ __all__ = ["add_page_arguments", "film", "record", "serve"]
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
-#: Of a video, in s, and in pixels.
-_SECONDS = 8.0
+#: Of a video: s, as of a training's, and pixels.
+_SECONDS = Root().run.video_seconds
 _WIDTH, _HEIGHT = 800, 450
 
 
