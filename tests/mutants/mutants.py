@@ -304,8 +304,9 @@ MUTANTS = (
            "tests/plugins/sitting/test_trials.py"),
     Mutant("a policy may have more", "plugins/learning/skills/understudy_skills/skill.py",
            "sorted(needed | self.policy.keys())", "sorted(needed)", "tests/plugins/skills/test_episodes.py"),
-    Mutant("what has crashed lands", ATTEMPT, "(landed & beyond & ~crashed)", "(landed & beyond)", "tests/plugins/jumping/test_attempt.py"),
-    Mutant("a landing is undone", ATTEMPT, '(wrong & (kept["landed"] == 0))', "wrong", "tests/plugins/jumping/test_attempt.py"),
+    Mutant("what has crashed lands", ATTEMPT, "well = beyond & ~crashed", "well = beyond", "tests/plugins/jumping/test_attempt.py"),
+    Mutant("a landing on feet is undone", ATTEMPT, '(kept["feet_first"] != 0) | (touch', "(touch", "tests/plugins/jumping/test_attempt.py"),
+    Mutant("feet count after all else", ATTEMPT, "(touch & ~others[:, None])", "touch", "tests/plugins/jumping/test_attempt.py"),
     Mutant("particles forget what varies", "plugins/physics/warp_torch/understudy_warp_torch/world_state.py",
            "        self._put_varied(worlds, snapshot)\n", "", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")

@@ -13,7 +13,7 @@ from torch import Tensor
 from understudy.task import Context
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.attempt import Attempt, Jump
-from understudy_jumping.terms import safety, spin
+from understudy_jumping.terms import feet_first, fell, safety, spin
 
 STANDING = 0.882  #: m, of the root above the ground
 
@@ -131,13 +131,35 @@ def test_headfirst_is_noticed(context: Context) -> None:
 
 
 def test_landing_on_feet(context: Context) -> None:
-    """Section 4.7.2: both feet, and nothing before them."""
+    """Section 4.7.2: both feet, and nothing before them. What lies there first fails, and is told how near it came."""
     standing = pose(context, 2.0, STANDING + 0.1)
-    found = follow(context, over(context, standing), landing="feet")
-    assert (found["landed"], found["crashed"]) == (1.0, 0.0)
+    one = pose(context, 2.0, STANDING + 0.1, left_knee=1.5)
     lying = pose(context, 2.0, 0.18, pitch=-math.pi / 2)
-    found = follow(context, over(context, lying), landing="feet")
-    assert (found["landed"], found["crashed"]) == (0.0, 1.0)
+    for way, on_feet in (
+        ([standing], 1.0), ([one, standing], 1.0), ([lying], 0.0), ([lying, standing], 0.0), ([one, lying], 0.5),
+        ([one, lying, standing], 0.5),
+    ):  # fmt: skip
+        found = follow(context, over(context, *way), landing="feet")
+        assert (found["on_feet"], found["landed"]) == (on_feet, float(on_feet == 1.0))
+        assert (found["came_down"], found["crashed"]) == (1.0, 0.0)
+    found = follow(context, over(context, one), landing="feet")
+    assert (found["on_feet"], found["came_down"]) == (0.5, 0.0), "one foot is on its way"
+
+
+def test_feet_on_the_mat_too_early_have_not_come_down(context: Context) -> None:
+    near = pose(context, 0.25, STANDING + 0.1)
+    found = follow(
+        context, [pose(context, -1.0, 2.0), pose(context, 0.25, 2.0), near], landing="feet"
+    )
+    assert (found["landed"], found["came_down"], found["crashed"]) == (0.0, 0.0, 1.0)
+
+
+def test_a_landing_on_feet_is_worth_more() -> None:
+    """Section 4.6.1's r_safety, engineered: less for what lies down, some for one foot."""
+    on_feet = torch.tensor([0.0, 0.5, 1.0])
+    torch.testing.assert_close(feet_first(on_feet, fallen=0.2), torch.tensor([0.2, 0.6, 1.0]))
+    down, landed = torch.tensor([0.0, 1.0, 1.0]), torch.tensor([0.0, 0.0, 1.0])
+    assert fell(down, landed).tolist() == [False, True, False]
 
 
 def test_the_obstacle_grows_with_the_difficulty(context: Context) -> None:

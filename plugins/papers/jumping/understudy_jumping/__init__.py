@@ -35,11 +35,13 @@ PARTS = {
     "termination": {
         "jumping/crashed": ("terms:crashed", "touched what it must not"),
         "jumping/landed": ("terms:landed", "landed on the mat"),
+        "jumping/fell": ("terms:fell", "lies on the mat, not landed as it should"),
         "jumping/arrived": ("run_up:arrived", "the take-off has come"),
     },
     "reward": {
         "jumping/spin": ("terms:spin", "little rotation of the root"),
         "jumping/safety": ("terms:safety", "not on the head"),
+        "jumping/feet_first": ("terms:feet_first", "the feet before anything else"),
         "jumping/match": ("run_up:match", "the take-off that is wanted"),
     },
     "curriculum": {

@@ -36,6 +36,13 @@ class Attempt(Memory):
       obstacle, the width of the widest box that the same movement had cleared; infinite before
     - ``cleared``, ``cleared_width`` () m: these of an attempt that has landed, else 0
     - ``body_ends`` (S, 2, 2): where the ends of the body's segments were, x and z
+
+    With ``landing: feet`` a landing on anything else fails, but is told how near it came (section 4.6.1 has r_safety engineered for a
+    landing on feet):
+
+    - ``came_down`` () 1 once it has landed so, or lies on the mat
+    - ``on_feet`` () the share of the feet that touched the mat before anything else did
+    - ``feet_first`` (2,) 1 of a foot that did; ``others_first`` () 1 once anything else has touched it
     """
 
     reads = ("geom_xpos", "geom_xmat", "obstacle_height", "obstacle_width", "mat_height")
@@ -44,8 +51,8 @@ class Attempt(Memory):
     class Options:
         behind: float = 0.2  #: m behind the obstacle, before anything touches the mat
         take_off: str = "right_ankle"  #: the foot that may touch the ground
-        #: ``trunk``: the trunk or four links lie on the mat; ``feet``: both feet stand on it, and
-        #: nothing else has touched it (section 4.7.2).
+        #: ``trunk``: the trunk or four links lie on the mat; ``feet``: both feet have touched it, and
+        #: nothing else before them (section 4.7.2).
         landing: Literal["trunk", "feet"] = "trunk"
         tolerance: float = 0.003  #: m above a surface that still touches it
 
@@ -64,18 +71,24 @@ class Attempt(Memory):
         self._widths = body.widths
         self._low = torch.tensor([[0.0], [-torch.inf]], device=context.device)
         self._foot, self._head = body.rows(options.take_off), body.rows(HEAD)
-        self._trunk, self._feet = body.rows(*TRUNK), body.rows(*FEET)
+        self._trunk = body.rows(*TRUNK)
+        self._feet = torch.stack([body.rows(foot) for foot in FEET])
         segments = len(self._widths)
         self.keeps: Mapping[str, Shape] = {
             "crashed": (), "landed": (), "beyond": (), "head_first": (), "lowest_pass": (),
             "narrowest_pass": (), "cleared": (), "cleared_width": (), "body_ends": (segments, 2, 2),
         }  # fmt: skip
+        if options.landing == "feet":
+            others = {"came_down": (), "on_feet": (), "others_first": ()}
+            self.keeps = {**self.keeps, **others, "feet_first": (len(FEET),)}
 
     def begin(self, geom_xpos: Tensor, geom_xmat: Tensor, **fields: Tensor) -> dict[str, Tensor]:
         nothing = torch.zeros_like(fields["mat_height"])
         ends = self._body.ends(geom_xpos, geom_xmat)[..., ::2]
         flags = dict.fromkeys(self.keeps, nothing)
         passes = dict.fromkeys(("lowest_pass", "narrowest_pass"), nothing + torch.inf)
+        if self._options.landing == "feet":
+            flags["feet_first"] = nothing[:, None].expand(-1, len(FEET))
         return {**flags, **passes, "body_ends": ends}
 
     def advance(
@@ -109,10 +122,13 @@ class Attempt(Memory):
         behind = (ends[..., 0].amin(dim=2) - self._widths).amin(dim=1)
         beyond = was_beyond | (behind >= obstacle_width + self._options.behind)
         fallen = (ground & ~self._foot).any(dim=1) | (mat.any(dim=1) & ~beyond)
-        landed, wrong = self._landing(mat)
-        crashed = (kept["crashed"] != 0) | struck | fallen | (wrong & (kept["landed"] == 0))
+        crashed = (kept["crashed"] != 0) | struck | fallen
+        lies = (mat & self._trunk).any(dim=1) | (mat.sum(dim=1) >= 4)
+        well = beyond & ~crashed
+        on_feet = self._on_feet(kept, mat, lies, well) if self._options.landing == "feet" else {}
+        landed = on_feet["on_feet"] == 1.0 if on_feet else lies
         head = (kept["head_first"] != 0) | (mat & self._head).any(dim=1)
-        landed = (kept["landed"] != 0) | (landed & beyond & ~crashed)
+        landed = (kept["landed"] != 0) | (landed & well)
         lowest = torch.minimum(kept["lowest_pass"], passed)
         narrowest = torch.minimum(kept["narrowest_pass"], under)
         return {
@@ -125,15 +141,24 @@ class Attempt(Memory):
             "cleared": torch.where(landed, lowest, 0.0),
             "cleared_width": torch.where(landed, narrowest, 0.0),
             "body_ends": ends,
+            **on_feet,
         }
 
-    def _landing(self, mat: Tensor) -> tuple[Tensor, Tensor]:
-        """(N,) bool: whether the links (N, G) that touch the mat are a landing; a wrong one."""
-        if self._options.landing == "feet":
-            others = (mat & ~self._feet).any(dim=1)
-            return (mat | ~self._feet).all(dim=1) & ~others, others
-        lies = (mat & self._trunk).any(dim=1) | (mat.sum(dim=1) >= 4)
-        return lies, torch.zeros_like(lies)
+    def _on_feet(
+        self, kept: Mapping[str, Tensor], mat: Tensor, lies: Tensor, well: Tensor
+    ) -> dict[str, Tensor]:
+        """Of the links `mat` (N, G) bool that touch the mat: which feet have, before anything else did. It may lie there, `lies`, and
+        have come there `well`, (N,) bool."""
+        others = (kept["others_first"] != 0) | (mat & ~self._feet.any(dim=0)).any(dim=1)
+        touch = (mat[:, None] & self._feet).any(dim=2)
+        first = (kept["feet_first"] != 0) | (touch & ~others[:, None])
+        down = (kept["came_down"] != 0) | (well & (lies | first.all(dim=1)))
+        return {
+            "feet_first": first.float(),
+            "others_first": others.float(),
+            "on_feet": first.float().mean(dim=1),
+            "came_down": down.float(),
+        }
 
 
 class Jump(Fields):

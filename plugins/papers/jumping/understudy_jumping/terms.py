@@ -34,3 +34,19 @@ def safety(
 ) -> Tensor:
     """r_safety (eq. 4.15): `unsafe` of a landing on the head, else 1."""
     return torch.where(head_first != 0, unsafe, 1.0)
+
+
+def fell(came_down: Tensor, landed: Tensor) -> Tensor:
+    """It lies on the mat, and has not landed as it should."""
+    return (came_down != 0) & (landed == 0)
+
+
+def feet_first(
+    on_feet: Tensor,
+    *,
+    #: the reward of a landing on anything else, in [0, 1]; ours, since the thesis gives none
+    fallen: float = 0.3,
+) -> Tensor:
+    """r_safety engineered for a landing on feet (section 4.6.1): from `fallen` to 1, by the share of the feet that touched the mat before
+    anything else did."""
+    return fallen + (1.0 - fallen) * on_feet
