@@ -11,7 +11,7 @@ try:
     from gpytorch.means import ConstantMean, Mean
     from gpytorch.mlls import ExactMarginalLogLikelihood
     from gpytorch.priors import LogNormalPrior, NormalPrior
-    from gpytorch.settings import debug
+    from gpytorch.settings import debug, lazily_evaluate_kernels
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -34,4 +34,5 @@ __all__ = [
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
+    "lazily_evaluate_kernels",
 ]
