@@ -1,5 +1,10 @@
 """What is used of BoTorch and GPyTorch, or one sentence about how to get them."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 try:
     from botorch.exceptions import BotorchWarning, ModelFittingError
     from botorch.fit import fit_gpytorch_mll
@@ -30,9 +35,16 @@ __all__ = [
     "ProductKernel",
     "RBFKernel",
     "SingleTaskGP",
-    "debug",
+    "directly",
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
-    "lazily_evaluate_kernels",
 ]
+
+
+@contextmanager
+def directly() -> Iterator[None]:
+    """Inside, GPyTorch does not check itself, a seventh of the time, and evaluates kernels at once, a tenth: that they
+    wait is for many more points than a search has. No bit changes."""
+    with debug(False), lazily_evaluate_kernels(False):
+        yield

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -28,10 +26,9 @@ from understudy_bayes.libraries import (
     ProductKernel,
     RBFKernel,
     SingleTaskGP,
-    debug,
+    directly,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
-    lazily_evaluate_kernels,
 )
 from understudy_bayes.space import Space
 
@@ -119,7 +116,7 @@ class Surrogate:
         begin = {name: value.clone() for name, value in model.state_dict().items()}
         likelihood = ExactMarginalLogLikelihood(model.likelihood, model)
         try:
-            with _directly():
+            with directly():
                 fit_gpytorch_mll(likelihood, optimizer_kwargs={"options": {"maxiter": 200}})
         except ModelFittingError:  # nothing can be learned from these: the priors' modes stay
             model.load_state_dict(begin)
@@ -139,7 +136,7 @@ class Surrogate:
     def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
         fidelities `z` (m,)."""
-        with _directly():
+        with directly():
             found = self._model.posterior(_joined(self._taken(x), z))
             mean, variance = found.mean, found.variance
         assert isinstance(mean, Tensor)
@@ -184,14 +181,6 @@ class _Line(Mean):
         constant = self.constant(x)
         assert isinstance(constant, Tensor)
         return constant + self.slope * x[..., -1]
-
-
-@contextlib.contextmanager
-def _directly() -> Iterator[None]:
-    """Inside, GPyTorch neither checks itself, a seventh of the time, nor puts kernels off, which is for many more
-    points than a search has, and as much; neither changes a bit."""
-    with debug(False), lazily_evaluate_kernels(False):
-        yield
 
 
 def _as_is(x: Tensor) -> Tensor:
