@@ -78,9 +78,12 @@ def test_a_long_evaluation_tells_how_far_it_is(
     training = make_training(
         plugins,
         [
-            *FAKE_TASK, *SMALL, "evaluation.episodes=8", f"evaluation.final_episodes={episodes}",
+            *FAKE_TASK,
+            *SMALL,
+            "evaluation.episodes=8",
+            f"evaluation.final_episodes={episodes}",
             "evaluation.seconds=4",
-        ],  # fmt: skip
+        ],
     )
     quick, _ = training.judge()
     assert "Judging" not in capsys.readouterr().err
