@@ -136,15 +136,22 @@ def _executing(
 
 
 def forked(
-    code: str, *arguments: str, cwd: Path, **environment: str
+    code: str, *arguments: str, cwd: Path, seconds: float = 120.0, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """Carry `code` out as :func:`begin_code` does, to its end; as :func:`worlds.python`, for what does not
     ask how an interpreter starts."""
-    return forked_together(code, *arguments, cwd=cwd, environments=[environment])[0]
+    together = forked_together(
+        code, *arguments, cwd=cwd, environments=[environment], seconds=seconds
+    )
+    return together[0]
 
 
 def forked_together(
-    code: str, *arguments: str, cwd: Path, environments: Sequence[Mapping[str, str]]
+    code: str,
+    *arguments: str,
+    cwd: Path,
+    environments: Sequence[Mapping[str, str]],
+    seconds: float = 120.0,
 ) -> list[subprocess.CompletedProcess[str]]:
     """As :func:`forked`, in as many processes side by side as there are `environments`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -157,9 +164,9 @@ def forked_together(
         ]
         try:
             for process in processes:
-                process.join(120)
+                process.join(seconds)
                 if process.is_alive():
-                    raise subprocess.TimeoutExpired(code, 120)
+                    raise subprocess.TimeoutExpired(code, seconds)
         finally:
             for process in processes:
                 process.kill()

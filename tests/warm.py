@@ -16,10 +16,10 @@ import torch
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 
-#: What takes long, and is imported where it is first needed: by optimisers, films, pages, progress, searches.
+#: What takes long, and is imported where it is first needed: by optimisers, films, pages, progress, searches, torch's modes.
 LATE = (
     "pytest", "PIL.ImageDraw", "imageio_ffmpeg", "rich.live", "rich.progress", "scipy.optimize",
-    "scipy.signal", "scipy.spatial", "tensorboard.summary.writer.event_file_writer", "trimesh", "understudy.testing",
+    "scipy.signal", "scipy.spatial", "tensorboard.summary.writer.event_file_writer", "torch._dynamo", "trimesh", "understudy.testing",
     "understudy_ppo.learner", "understudy_report.page", "understudy_report.video", "understudy_sweeps.processes",
     "commands", "executors", "worlds",
 )  # fmt: skip

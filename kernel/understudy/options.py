@@ -6,6 +6,7 @@ One declaration serves the command line, the checks and the error messages.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import re
 import sys
@@ -41,6 +42,7 @@ class Option:
 
 
 REQUIRED: Any = inspect.Parameter.empty
+_hints = functools.lru_cache(1024)(typing.get_type_hints)  # each experiment asks for them anew
 
 
 class Typed:
@@ -60,9 +62,8 @@ def options_of(factory: Any) -> dict[str, Option]:
     A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
     keyword-only parameters.
     """
-    schema = schema_of(factory)
-    if schema is not None:
-        hints = typing.get_type_hints(schema)
+    if (schema := schema_of(factory)) is not None:
+        hints = _hints(schema)
         result = {}
         for item in dataclasses.fields(schema):
             none, make = dataclasses.MISSING, item.default_factory
@@ -72,7 +73,7 @@ def options_of(factory: Any) -> dict[str, Option]:
         return result
     if inspect.isclass(factory):
         return {}
-    hints = typing.get_type_hints(getattr(factory, "func", factory))  # of a functools.partial
+    hints = _hints(getattr(factory, "func", factory))  # of a functools.partial
     return {
         name: Option(name, hints.get(name, Any), parameter.default)
         for name, parameter in inspect.signature(factory).parameters.items()

@@ -64,7 +64,8 @@ def test_trains_for_a_few_iterations(site: Path, tmp_path: Path) -> None:
     out = understudy(
         site, "train", "task=balance/stand", "policy=mlp", "learner=ppo", "num_worlds=8",
         "learner.rollout_steps=8", "learner.minibatches=2", "policy.hidden=[32]",
-        "budget.samples=192", "evaluation.episodes=4", "evaluation.seconds=0.5", f"run.dir={run}",
+        "budget.samples=192", "evaluation.episodes=4", "evaluation.final_episodes=4",
+        "evaluation.seconds=0.5", f"run.dir={run}",
     )  # fmt: skip
     assert out.splitlines()[-1] == f"run: {run}"
     info = json.loads((run / "run.json").read_text())
@@ -96,7 +97,7 @@ def test_its_term_counts_in_another_plugins_task(site: Path, tmp_path: Path) -> 
         site, "train", "experiment=spacetime/walk", "reward.terms.upright={name: balance/upright}",
         "num_worlds=8", "learner.rollout_steps=4", "learner.minibatches=2",
         "policy.feedback.hidden=[16]", "budget.samples=32", "evaluation.episodes=2",
-        "evaluation.seconds=0.2", "run.video_seconds=0.2", f"run.dir={run}",
+        "evaluation.final_episodes=2", "evaluation.seconds=0.2", "run.video_seconds=0.2", f"run.dir={run}",
     )  # fmt: skip
     (row,) = (json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines())
     share = 32 * row["reward"]  # of 32 samples; survival alone is 0 or 1 in each

@@ -140,7 +140,8 @@ def test_an_untrained_policy_is_not_judged_as_the_trained_one(
 ) -> None:
     monkeypatch.setattr(setup_plugins, "installed", lambda: plugins)
     run = tmp_path / "run"
-    training = make_training(plugins, [*FAKE_TASK, *SMALL, "evaluation.final_episodes=4"], run)
+    few = ("evaluation.final_episodes=4", "evaluation.seconds=1")
+    training = make_training(plugins, [*FAKE_TASK, *SMALL, *few], run)
     training.save()
     assert training.run is not None
     training.run.unlock()

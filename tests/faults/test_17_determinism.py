@@ -53,7 +53,7 @@ def test_an_equal_number_of_threads_gives_the_same_bits(plugins: Plugins, count:
     overrides = [
         *TASKS["contacts"],
         *SMALL,
-        "num_worlds=512",
+        "num_worlds=256",
         "policy.hidden=[1024, 512]",
         "learner.epochs=1",
         f"simulator.threads={count}",

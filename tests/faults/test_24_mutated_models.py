@@ -16,7 +16,7 @@ from typing import Any
 
 import mujoco
 import pytest
-from worlds import python
+from commands import forked
 
 from understudy.errors import FileError
 from understudy_mujoco import apart, trial
@@ -118,7 +118,7 @@ def test_mutants(first: int, count: int, tmp_path: Path) -> None:
     code = READ.format(folder=str(Path(__file__).parent))
     # of these MuJoCo says "Caught an unknown exception!", which is none of its errors
     unknown = ("4728", "7065", "8865")
-    done = python(code, str(first), str(count), *unknown, cwd=tmp_path)
+    done = forked(code, str(first), str(count), *unknown, cwd=tmp_path)
     at = (tmp_path / "seed").read_text()
     assert done.returncode == 0, f"seed {at}, status {done.returncode}: {done.stderr[-2000:]}"
     found = json.loads(done.stdout.splitlines()[-1])
@@ -141,12 +141,12 @@ def load(folder: Path, text: str) -> MjcfFile:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ('<worldbody><replicate count="2000000000"><geom size="1"/></replicate></worldbody>', "within 2 s"),
+        ('<worldbody><replicate count="2000000000"><geom size="1"/></replicate></worldbody>', "within 1 s"),
         ("<worldbody>" + '<replicate count="100">' * 5 + '<geom size="1"/>' + "</replicate>" * 5 + "</worldbody>",
-         "(within 2 s|more memory)"),  # whichever comes first
-        ('<size nkey="2000000000"/>' + SLIDER, "within 2 s"),
+         "(within 1 s|more memory)"),  # whichever comes first
+        ('<size nkey="2000000000"/>' + SLIDER, "within 1 s"),
         ('<compiler><lengthrange inttotal="1e9" mode="all"/></compiler>' + SLIDER
-         + '<actuator><muscle joint="j"/></actuator>', "within 2 s"),
+         + '<actuator><muscle joint="j"/></actuator>', "within 1 s"),
         ('<size memory="3G"/>' + SLIDER, "Could not allocate"),
         ('<asset><hfield name="h" nrow="30000" ncol="30000" size="1 1 1 1"/></asset>', "more memory"),
     ],
@@ -155,7 +155,7 @@ def load(folder: Path, text: str) -> MjcfFile:
 def test_what_computes_or_allocates_without_end(
     content: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "LIMITS", apart.Limits(cpu=2, wall=60, memory=2**30))
+    monkeypatch.setattr(trial, "LIMITS", apart.Limits(cpu=1, wall=60, memory=2**30))
     with pytest.raises(FileError, match=rf"model\.xml does not (load|compile).*{reason}"):
         load(tmp_path, f"<mujoco>{content}</mujoco>")
 

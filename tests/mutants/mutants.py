@@ -844,8 +844,8 @@ MUTANTS = (
     Mutant(
         "a composition changes no file of options that is kept",
         f"{KERNEL}/setup/option_files.py",
-        "copy.deepcopy(found[0])",
-        "found[0]",
+        "copy.deepcopy(found.defaults_list)",
+        "found.defaults_list",
         "tests/kernel/setup/test_option_files.py -k handed_out",
     ),
     Mutant(

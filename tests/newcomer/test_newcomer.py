@@ -68,7 +68,7 @@ def demo(understudy: Path) -> Path:
             "learner.rollout_steps=16", "learner.model.first_samples=256", "learner.model.first_updates=9",
             "learner.updates=2", "policy.feedback.hidden=[32]", "budget.samples=512",
             "evaluation.episodes=4", "evaluation.final_episodes=4", "evaluation.seconds=1",
-            "run.video_seconds=0.5",
+            "run.video_seconds=0.2",
         ],
         cwd,
     )  # fmt: skip

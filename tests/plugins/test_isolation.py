@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import os
 import re
@@ -62,7 +63,8 @@ def requires(name: str) -> set[str]:
     return set(importlib.import_module(f"understudy_{name}").REQUIRES)
 
 
-def imported(folder: Path) -> set[str]:
+@functools.cache
+def imported(folder: Path) -> frozenset[str]:
     """The bundled plugins that any module under `folder` imports."""
     found = set()
     for file in folder.rglob("*.py"):
@@ -76,7 +78,7 @@ def imported(folder: Path) -> set[str]:
                 head = module.partition(".")[0]
                 if head.startswith("understudy_"):
                     found.add(head.removeprefix("understudy_"))
-    return found
+    return frozenset(found)
 
 
 def test_the_kernel_imports_no_plugin() -> None:

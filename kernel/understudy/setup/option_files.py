@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import dataclasses
 import functools
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from stat import S_ISREG
 from typing import Any
@@ -79,8 +79,8 @@ class OptionFiles(ConfigRepository):
         return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        found = self._found(config_path)
-        return found and copy.deepcopy(found[0])  # Hydra changes what it is given
+        found, _ = self._found(config_path) or (None, {})  # Hydra changes the list of it
+        return found and replace(found, defaults_list=copy.deepcopy(found.defaults_list))
 
     def content(self, default: ResultDefault) -> dict[str, Any]:
         """What the file of that choice says, at the place where it is put."""
@@ -109,11 +109,10 @@ class OptionFiles(ConfigRepository):
 
     def _state(self, config_path: str) -> State | None:
         """The first file of that name, and what changes when its content does."""
-        for source in self.sources:
-            file = os.path.join(source.path, f"{config_path.removesuffix('.yaml')}.yaml")
-            with contextlib.suppress(OSError, ValueError):  # no file, or what none can be named
-                found = os.stat(file)
-                if S_ISREG(found.st_mode):
+        name = f"/{config_path.removesuffix('.yaml')}.yaml"
+        with contextlib.suppress(OSError, ValueError):  # it just went, or no file can be named so
+            for file in (source.path + name for source in self.sources):
+                if os.access(file, os.F_OK) and S_ISREG((found := os.stat(file)).st_mode):
                     return (file, found.st_mtime_ns, found.st_size, found.st_ino)
         return None
 
@@ -154,7 +153,7 @@ def compose(
         value = each(override.value(), _number)
         if isinstance(value, Mapping) and "name" in value and not override.is_delete():
             OmegaConf.update(config, override.key_or_group, {}, merge=False, force_add=True)
-        override = dataclasses.replace(override, _value=value)
+        override = replace(override, _value=value)
         ConfigLoaderImpl._apply_overrides_to_config([override], config)
     return config
 

@@ -274,10 +274,11 @@ def test_a_file_named_like_an_option(
 
 
 def test_names_that_are_no_text_are_shown(tmp_path: Path) -> None:
-    code = "import sys; from understudy.command.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, "motion", "check", os.fsencode(tmp_path) + b"/\xff.bvh"]
-    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONUTF8": "1"})
-    assert (done.returncode, done.stderr.count(b"there is no such file")) == (2, 1)
+    name = os.fsdecode(os.fsencode(tmp_path) + b"/\xff.bvh")
+    process = begin_on(tmp_path / "terminal", "utf-8", "motion", "check", name)
+    process.join(100)
+    shown = (tmp_path / "terminal").read_bytes()
+    assert (process.exitcode, shown.count(b"there is no such file")) == (2, 1), shown
 
 
 @pytest.mark.parametrize(

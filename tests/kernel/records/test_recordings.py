@@ -25,7 +25,7 @@ from understudy_training import workflow
 
 QUICK = (
     *PADDLE_TASK, *SMALL, "budget.samples=128", "evaluation.episodes=4", "evaluation.seconds=0.2",
-    "run.video_seconds=0.1", "control.frequency=50",
+    "evaluation.final_episodes=4", "run.video_seconds=0.1", "control.frequency=50",
 )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ TASKS = ("gather", "spread", "flip")
 TINY = (
     "num_worlds=2", "learner.rollout_steps=16", "learner.minibatches=2", "budget.samples=32",
     "evaluation.episodes=2", "evaluation.final_episodes=2", "evaluation.seconds=0.5",
-    "run.video_seconds=0.5",
+    "run.video_seconds=0.2",
 )  # fmt: skip
 
 

@@ -336,7 +336,7 @@ def test_a_trained_run_is_exported_without_simulating_again(
     run = tmp_path / "run"
     quick = ["num_worlds=8", "learner.rollout_steps=4", "learner.minibatches=2"]
     quick += ["policy.feedback.hidden=[16]", "budget.samples=64", "evaluation.episodes=2"]
-    quick += ["evaluation.seconds=0.5", "run.video_seconds=0.2"]
+    quick += ["evaluation.final_episodes=2", "evaluation.seconds=0.5", "run.video_seconds=0.2"]
     assert main(["train", "experiment=spacetime/walk", *quick, f"run.dir={run}"]) == 0
     for checkpoint in (run / "checkpoints").iterdir():
         checkpoint.unlink()

@@ -5,10 +5,9 @@ from __future__ import annotations
 import copy
 import functools
 import pickle
-import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import pytest
 pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
 
 import gymnasium
+from commands import forked
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
@@ -54,13 +54,14 @@ def test_gymnasiums_own_check_passes(task: str, flat: bool) -> None:
     env.close()
 
 
-def test_no_import_is_needed_where_the_module_is_named() -> None:
+def test_no_import_is_needed_where_the_module_is_named(tmp_path: Path) -> None:
     code = (
+        "import sys; assert 'understudy_gym.envs' not in sys.modules; "
         "import gymnasium; env = gymnasium.make('understudy_gym.envs:miniature/go'); "
         "env.reset(seed=0); print(env.spec.id)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "miniature/go\n"
+    done = forked(code, cwd=tmp_path)
+    assert (done.stdout, done.returncode) == ("miniature/go\n", 0), done.stderr
 
 
 def test_zero_is_the_reference_of_the_walk() -> None:
@@ -369,9 +370,11 @@ def test_actions_of_numbers_and_choices(monkeypatch: pytest.MonkeyPatch) -> None
 # ---------------------------------------------------------------- processes and copies
 
 FORKED = """
+import multiprocessing
 import gymnasium, torch
 import understudy_gym.envs
 
+multiprocessing.set_start_method("fork", force=True)  # as of a program's own
 torch.set_num_threads(4)
 one = gymnasium.make("{task}")
 one.reset(seed=0)
@@ -385,12 +388,9 @@ envs.close()
 
 
 @pytest.mark.parametrize("task", [WALK, "deepmimic/walk"])
-def test_forked_environments_step(task: str) -> None:
+def test_forked_environments_step(task: str, tmp_path: Path) -> None:
     """Gymnasium's ``async`` forks by default; a child that waited for torch's threads would hang."""
-    code = FORKED.format(task=task)
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=240
-    )
+    done = forked(FORKED.format(task=task), cwd=tmp_path, seconds=240)
     assert (done.stdout, done.returncode) == ("(2,)\n", 0), done.stderr
 
 

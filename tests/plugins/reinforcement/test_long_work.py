@@ -77,7 +77,13 @@ def test_a_long_evaluation_tells_how_far_it_is(
     """Also in batches, of which the worlds are too few to have all episodes at once."""
     training = make_training(
         plugins,
-        [*FAKE_TASK, *SMALL, "evaluation.episodes=8", f"evaluation.final_episodes={episodes}"],
+        [
+            *FAKE_TASK,
+            *SMALL,
+            "evaluation.episodes=8",
+            f"evaluation.final_episodes={episodes}",
+            "evaluation.seconds=4",
+        ],
     )
     quick, _ = training.judge()
     assert "Judging" not in capsys.readouterr().err
@@ -117,6 +123,7 @@ def test_jobs_without_trainings(
     told: str,
 ) -> None:
     few = [*FAKE_TASK, *SMALL, "evaluation.final_episodes=8", "budget.samples=100000"]
+    few += ["evaluation.seconds=4"]
     make_training(plugins, few, tmp_path / "a").save()
     of = "" if job.startswith("settle") else f", run: {tmp_path / 'a'}"
     training = make_training(plugins, [*few, f"+job={{name: {job}{of}}}"], tmp_path / "b")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import math
 import os
@@ -26,7 +27,7 @@ from understudy_motion.readers.smpl import BODY
 from understudy_motion.reading import ReadOptions, read_clip
 from understudy_motion.writers.bvh import BvhWriter
 from understudy_retarget.anatomy import path_up
-from understudy_retarget.retarget import Options, retarget
+from understudy_retarget.retarget import Options, Report, retarget
 from understudy_tensors import rotations
 
 REGISTRY = all_plugins().registry
@@ -46,6 +47,12 @@ def walk(humanoid: Character) -> Clip:
     """The generated walk on the humanoid's own skeleton, hands and toes included."""
     walk = clip_named("walk")
     return humanoid.clip(humanoid.qpos(walk), walk.times, name="walk", loop=True)
+
+
+@pytest.fixture(scope="module")
+def plain(walk: Clip, humanoid: Character) -> tuple[Clip, Report]:
+    """That walk, retargeted."""
+    return retarget(walk, humanoid)
 
 
 def reposed(clip: Clip, turns: dict[str, torch.Tensor]) -> Clip:
@@ -89,8 +96,8 @@ def furthest(one: Clip, other: Clip, joints: tuple[str, ...] = ()) -> float:
 # ---------------------------------------------------------------------- laws
 
 
-def test_on_its_own_skeleton_a_sound_motion_stays(walk: Clip, humanoid: Character) -> None:
-    result, report = retarget(walk, humanoid)
+def test_on_its_own_skeleton_a_sound_motion_stays(walk: Clip, plain: tuple[Clip, Report]) -> None:
+    result, report = plain
     assert report.scale == pytest.approx(1.0)
     assert report.mean_error < 0.005
     assert furthest(result, walk) < 0.05
@@ -116,12 +123,19 @@ def test_a_reposed_clip_is_the_same_motion(walk: Clip) -> None:
     ids=["T-pose", "A-pose", "legs apart", "arms ahead"],
 )
 def test_the_zero_pose_of_the_source_does_not_matter(
-    walk: Clip, humanoid: Character, pose: dict[str, torch.Tensor]
+    walk: Clip, plain: tuple[Clip, Report], humanoid: Character, pose: dict[str, torch.Tensor]
 ) -> None:
-    plain, _ = retarget(walk, humanoid)
     result, _ = retarget(reposed(walk, pose), humanoid)
-    assert furthest(result, plain) < 0.005
-    assert rotations.angle_between(result.rotations, plain.rotations).max() < 0.1
+    assert furthest(result, plain[0]) < 0.005
+    assert rotations.angle_between(result.rotations, plain[0].rotations).max() < 0.1
+
+
+@functools.cache
+def _walking() -> tuple[Character, Clip, Clip]:
+    """The humanoid, a walk, and that walk on it."""
+    humanoid = Character("humanoid", build_spec().compile())
+    walk = clip_named("walk")
+    return humanoid, walk, retarget(walk, humanoid)[0]
 
 
 @settings(max_examples=5, deadline=None)
@@ -131,8 +145,7 @@ def test_the_zero_pose_of_the_source_does_not_matter(
 def test_place_heading_and_floor_do_not_matter(
     heading: float, x: float, y: float, floor: float
 ) -> None:
-    humanoid = Character("humanoid", build_spec().compile())
-    walk = clip_named("walk")
+    humanoid, walk, plain = _walking()
     turn = about(torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), heading)
     moved = replace(
         walk,
@@ -142,7 +155,7 @@ def test_place_heading_and_floor_do_not_matter(
             (rotations.multiply(turn, walk.rotations[:, :1]), walk.rotations[:, 1:]), dim=1
         ),
     )
-    plain, result = retarget(walk, humanoid)[0], retarget(moved, humanoid)[0]
+    result = retarget(moved, humanoid)[0]
     shift = torch.tensor([x, y, 0.0], dtype=torch.float64)
     expected = rotations.rotate(turn, plain.root_position) + shift
     assert (result.root_position - expected).abs().max() < 0.002
@@ -151,7 +164,7 @@ def test_place_heading_and_floor_do_not_matter(
 
 @pytest.mark.parametrize("size", [0.5, 1.8])
 def test_a_smaller_or_larger_figure_makes_the_same_poses(
-    walk: Clip, humanoid: Character, size: float
+    walk: Clip, plain: tuple[Clip, Report], humanoid: Character, size: float
 ) -> None:
     skeleton = walk.skeleton
     assert skeleton is not None
@@ -163,13 +176,14 @@ def test_a_smaller_or_larger_figure_makes_the_same_poses(
             {name: size * tip for name, tip in skeleton.tips.items()},
         ),
     )  # fmt: skip
-    plain, _ = retarget(walk, humanoid)
     result, report = retarget(scaled, humanoid)
     assert report.scale == pytest.approx(1.0 / size)
-    assert furthest(result, plain) < 1e-6
+    assert furthest(result, plain[0]) < 1e-6
 
 
-def test_joints_are_found_by_name_not_by_place(walk: Clip, humanoid: Character) -> None:
+def test_joints_are_found_by_name_not_by_place(
+    walk: Clip, plain: tuple[Clip, Report], humanoid: Character
+) -> None:
     skeleton = walk.skeleton
     assert skeleton is not None
     joints = range(len(skeleton.joint_names))
@@ -183,11 +197,11 @@ def test_joints_are_found_by_name_not_by_place(walk: Clip, humanoid: Character) 
         walk, joint_names=names, rotations=walk.rotations[:, order],
         skeleton=Skeleton(names, parents, skeleton.offsets[order], skeleton.tips),
     )  # fmt: skip
-    assert furthest(retarget(shuffled, humanoid)[0], retarget(walk, humanoid)[0]) < 1e-6
+    assert furthest(retarget(shuffled, humanoid)[0], plain[0]) < 1e-6
 
 
-def test_a_loop_stays_one(walk: Clip, humanoid: Character) -> None:
-    result, _ = retarget(walk, humanoid)
+def test_a_loop_stays_one(walk: Clip, plain: tuple[Clip, Report]) -> None:
+    result, _ = plain
     before, after = cycle_transform(walk), cycle_transform(result)
     torch.testing.assert_close(after.displacement, before.displacement, atol=0.005, rtol=0)
     assert after.heading == pytest.approx(before.heading, abs=0.005)
@@ -367,7 +381,9 @@ def test_every_recorded_clip(file: str, name: str) -> None:
 # ---------------------------------------------------------------------- errors
 
 
-def test_a_missing_part_is_asked_for(walk: Clip, humanoid: Character) -> None:
+def test_a_missing_part_is_asked_for(
+    walk: Clip, plain: tuple[Clip, Report], humanoid: Character
+) -> None:
     skeleton = walk.skeleton
     assert skeleton is not None
     names = tuple(name.replace("left_elbow", "thing") for name in walk.joint_names)
@@ -377,7 +393,7 @@ def test_a_missing_part_is_asked_for(walk: Clip, humanoid: Character) -> None:
         skeleton=Skeleton(names, skeleton.parents, skeleton.offsets, tips),
     )  # fmt: skip
     result, _ = retarget(odd, humanoid, Options(map={"left_elbow": "thing"}))
-    assert furthest(result, retarget(walk, humanoid)[0]) < 1e-6
+    assert furthest(result, plain[0]) < 1e-6
     short = replace(odd.skeleton, offsets=np.where(np.array(names)[:, None] == "thing", 0.0, skeleton.offsets))  # fmt: skip
     with pytest.raises(ConfigError, match="left_upper_arm has no length"):
         retarget(replace(odd, skeleton=short), humanoid, Options(map={"left_elbow": "thing"}))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -11,18 +12,36 @@ from cases import CASES, needs_cases
 from scipy.spatial.transform import Rotation
 
 from understudy.setup.plugins import installed
-from understudy_characters.character import load_character
+from understudy_characters.character import Character, load_character
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
 from understudy_motion.reading import ReadOptions, read_clip
 from understudy_retarget.anatomy import find_parts
-from understudy_retarget.retarget import retarget
+from understudy_retarget.retarget import Report, retarget
 from understudy_retarget.stance import standing
 from understudy_tensors import rotations
 
 REGISTRY = installed().registry
 LIMBS = {"legs": ("hip", "knee", "ankle"), "arms": ("shoulder", "elbow")}
+
+
+@functools.cache
+def humanoid() -> Character:
+    return load_character("humanoid", REGISTRY)
+
+
+@functools.cache
+def of_the_humanoid(name: str) -> Clip:
+    """The packaged clip `name` with the humanoid's own skeleton."""
+    plain = library.find(name, REGISTRY)
+    return humanoid().clip(humanoid().qpos(plain), plain.times, name=name, loop=plain.loop)
+
+
+@functools.cache
+def as_usual(name: str) -> tuple[Clip, Report]:
+    """That clip, retargeted to the humanoid."""
+    return retarget(of_the_humanoid(name), humanoid())
 
 
 def along_bones(clip: Clip, limbs: tuple[str, ...], axis: np.ndarray, mirrored: bool) -> Clip:
@@ -82,15 +101,13 @@ def apart(one: Clip, other: Clip) -> dict[str, float]:
 def test_frames_along_the_bones_make_no_difference(
     name: str, limbs: tuple[str, ...], axis: tuple[int, ...], mirrored: bool
 ) -> None:
-    humanoid = load_character("humanoid", REGISTRY)
-    plain = library.find(name, REGISTRY)
-    clip = humanoid.clip(humanoid.qpos(plain), plain.times, name=name, loop=plain.loop)
+    clip = of_the_humanoid(name)
     turned = along_bones(clip, limbs, np.array(axis, dtype=float), mirrored)
     places, same = (forward_kinematics(c)[0] for c in (clip, turned))
     torch.testing.assert_close(places, same)  # every joint of every frame is where it was
-    plain, as_usual = retarget(clip, humanoid)
-    found, report = retarget(turned, humanoid)
-    assert as_usual.no_stance == ()
+    plain, usually = as_usual(name)
+    found, report = retarget(turned, humanoid())
+    assert usually.no_stance == ()
     assert set(report.no_stance) >= set(limbs)
     angles = apart(plain, found)
     assert max(angles.values()) < 15.0, angles
@@ -100,9 +117,7 @@ def test_frames_along_the_bones_make_no_difference(
 @pytest.mark.parametrize("what", ["all", "all but root", "root", "chest", "neck", "root backwards"])
 def test_frames_of_the_trunk_make_no_difference(name: str, what: str) -> None:
     """Its bones were taken as the zero pose had them: heads and shoulders came out turned by up to 180 degrees."""
-    humanoid = load_character("humanoid", REGISTRY)
-    plain = library.find(name, REGISTRY)
-    clip = humanoid.clip(humanoid.qpos(plain), plain.times, name=name, loop=plain.loop)
+    clip = of_the_humanoid(name)
     pitched, back = Rotation.from_euler("y", 1.7), Rotation.from_euler("z", np.pi)
     fixed = [Rotation.identity()] * len(clip.joint_names)
     for joint, own in enumerate(clip.joint_names):
@@ -113,9 +128,9 @@ def test_frames_of_the_trunk_make_no_difference(name: str, what: str) -> None:
     assert any(turn.magnitude() > 0 for turn in fixed)
     turned = with_frames(clip, fixed)
     torch.testing.assert_close(*(forward_kinematics(c)[0] for c in (clip, turned)))
-    found, report = retarget(turned, humanoid)
+    found, report = retarget(turned, humanoid())
     assert {"trunk", "head"} & set(report.no_stance)
-    angles = apart(retarget(clip, humanoid)[0], found)
+    angles = apart(as_usual(name)[0], found)
     assert max(angles.values()) < 15.0, angles
 
 
@@ -123,9 +138,8 @@ def test_frames_of_the_trunk_make_no_difference(name: str, what: str) -> None:
 @pytest.mark.parametrize("case", ["x", "legs"])
 def test_reported_cases(case: str) -> None:
     folder, options = CASES / f"retarget-zero-pose-is-no-stance-{case}", ReadOptions("cm", "y")
-    humanoid = load_character("humanoid", REGISTRY)
     (one, _), (other, report) = (
-        retarget(read_clip(folder / f"{file}.bvh", REGISTRY, options), humanoid)
+        retarget(read_clip(folder / f"{file}.bvh", REGISTRY, options), humanoid())
         for file in ("reference", "input")
     )
     assert max(apart(one, other).values()) < 10.0
@@ -146,15 +160,13 @@ def test_a_stance_is_left_as_it_is(name: str) -> None:
 @pytest.mark.parametrize("pitch", [-80, -45, -30, -20, 30, 45, 60, 80])
 def test_pitched_feet_make_no_difference(name: str, pitch: int) -> None:
     """Toes that point up or down in the zero pose came out so in every frame."""
-    humanoid = load_character("humanoid", REGISTRY)
-    plain = library.find(name, REGISTRY)
-    clip = humanoid.clip(humanoid.qpos(plain), plain.times, name=name, loop=plain.loop)
+    clip = of_the_humanoid(name)
     turn = Rotation.from_euler("y", pitch, degrees=True)
     turned = with_frames(
         clip, [turn if "ankle" in own else Rotation.identity() for own in clip.joint_names]
     )
     torch.testing.assert_close(*(forward_kinematics(c)[0] for c in (clip, turned)))
-    found, report = retarget(turned, humanoid)
+    found, report = retarget(turned, humanoid())
     assert {"legs", "feet"} & set(report.no_stance)
-    angles = apart(retarget(clip, humanoid)[0], found)
+    angles = apart(as_usual(name)[0], found)
     assert max(angles.values()) < 10.0, angles

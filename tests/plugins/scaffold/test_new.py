@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -128,16 +129,27 @@ def test_one_of_both_alone(
     assert f"{passed} passed" in done.stdout
 
 
+@pytest.fixture(scope="module")
+def observation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which ``tall`` was written and in whose ``site`` it was installed."""
+    folder = tmp_path_factory.mktemp("observation")
+    words = ["new", "plugin", "tall", "--only", "observation", "--folder", str(folder / "tall")]
+    assert main(words) == 0
+    install(folder / "tall", folder / "site")
+    return folder
+
+
 @pytest.mark.parametrize("wrong", ["com_position[:, :1]", "com_position[:1, 2:].expand(4, 1)"])
-def test_the_test_of_the_observation_can_fail(wrong: str, tmp_path: Path) -> None:
+def test_the_test_of_the_observation_can_fail(
+    wrong: str, observation: Path, tmp_path: Path
+) -> None:
     """One that gives another coordinate, or all worlds the same."""
-    written = tmp_path / "tall"
-    assert main(["new", "plugin", "tall", "--only", "observation", "--folder", str(written)]) == 0
-    encoders = written / "src" / "understudy_tall" / "encoders.py"
+    compiled = shutil.ignore_patterns("__pycache__")  # of a text as old and as long
+    shutil.copytree(observation, tmp_path, dirs_exist_ok=True, ignore=compiled)
+    written, encoders = tmp_path / "tall", tmp_path / "site" / "understudy_tall" / "encoders.py"
     text = encoders.read_text()
     assert "com_position[:, 2:]" in text
     encoders.write_text(text.replace("com_position[:, 2:]", wrong))
-    install(written, tmp_path / "site")
     done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
     assert done.returncode == 1
     assert "test_what_is_observed" in done.stdout

@@ -12,7 +12,9 @@ from understudy.running.training import Training
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
-FEW = ("evaluation.episodes=8", "evaluation.final_episodes=8", "budget.samples=512")
+FEW = (
+    "evaluation.episodes=8", "evaluation.final_episodes=8", "evaluation.seconds=4", "budget.samples=512",
+)  # fmt: skip
 
 
 @pytest.fixture

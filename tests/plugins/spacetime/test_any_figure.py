@@ -91,7 +91,7 @@ def test_a_clip_that_does_not_loop_ends_the_episode(robot: tuple[str, ...]) -> N
         assert not step.terminated.any()
 
     evaluator = Evaluator(experiment)
-    result = evaluator.run(_Still(evaluator.built.environment.action_size), "test", 64)
+    result = evaluator.run(_Still(evaluator.built.environment.action_size), "test", 16)
     evaluator.close()
     assert result.mean_episode_seconds < duration
     assert result.success_rate is None, "nothing is a failure, and nothing a success"

@@ -17,6 +17,7 @@ from typing import Any
 import executors
 import pytest
 import torch
+from commands import begin, kill
 from executors import ENDLESS, SMALL_STOP, iterations, make, work
 from worlds import child_environment
 
@@ -233,18 +234,17 @@ def test_on_a_gpu(gpus: str, tmp_path: Path) -> None:
 
 def test_children_end_with_their_sweep(tmp_path: Path) -> None:
     """Killed, it cannot tell them; they save, and the folder is free again."""
-    command = [sys.executable, "-m", "understudy.command.cli", "sweep", *SMALL_STOP, *ENDLESS]
-    command += ["outer_loop=grid", "executor=processes", "executor.workers=1"]
-    command += ["checkpoint.minutes=1000", f"run.dir={tmp_path}"]
-    sweep = subprocess.Popen(command, env=child_environment(), stderr=subprocess.DEVNULL)
+    sweep = begin(
+        "sweep", *SMALL_STOP, *ENDLESS, "outer_loop=grid", "executor=processes",
+        "executor.workers=1", "checkpoint.minutes=1000", f"run.dir={tmp_path}",
+    )  # fmt: skip
     deadline = time.monotonic() + 60
     try:
         while len(iterations(tmp_path, "base/seed0")) < 3:
             assert time.monotonic() < deadline
             time.sleep(0.05)
     finally:
-        sweep.send_signal(signal.SIGKILL)
-        sweep.wait()
+        kill(sweep)
     folder = Run(folder_of("base/seed0", tmp_path), {})
     for _ in range(200):
         try:
@@ -273,7 +273,8 @@ def test_a_trial_has_a_session_of_its_own(tmp_path: Path) -> None:
 
 
 def test_what_a_terminal_sends_does_not_reach_the_fork_server(tmp_path: Path) -> None:
-    """While it imports, too, when it has no handlers yet."""
+    """While it imports, too, when it has no handlers yet. In an interpreter of its own, whose resource tracker is not yet
+    there: starting that lets SIGINT through again."""
     code = (
         "from multiprocessing import forkserver; from understudy_sweeps.processes import _server\n"
         "_server(); print(open(f'/proc/{forkserver._forkserver._forkserver_pid}/status').read())"

@@ -65,15 +65,16 @@ def hold(
     model = scene.model
     data.ctrl[:] = targets
     sticks = np.array([model.geom(name).id for name in scene.tool_bodies])
-    now = first = _relative(scene, data)
+    palm, parts = model.body("palm").id, [model.body(name).id for name in scene.tool_bodies]
+    now = first = _relative(data, palm, parts)
     since, depth, fell = None, 0.0, None
     while data.time < seconds:
         mujoco.mj_step(model, data)
-        now = _relative(scene, data)
+        now = _relative(data, palm, parts)
         if since is None and data.time >= settle:
             since = now
         if since is not None and data.ncon:
-            on = np.isin(data.contact.geom, sticks).any(axis=1)
+            on = (data.contact.geom[:, :, None] == sticks).any(axis=(1, 2))
             depth = max(depth, -float(data.contact.dist[on].min(initial=0.0)))
         if not (np.linalg.norm(now[0] - first[0], axis=1) < FALLEN).all():  # NaN too
             fell = data.time
@@ -106,11 +107,8 @@ def nearest_fingers(scene: HandScene, data: mujoco.MjData) -> tuple[float, tuple
     return nearest
 
 
-def _relative(scene: HandScene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (P, 3) m and axes (P, 3) of the tool's parts in the palm's frame."""
-    model = scene.model
-    palm = model.body("palm").id
+def _relative(data: mujoco.MjData, palm: int, parts: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (P, 3) m and axes (P, 3) of the bodies `parts` in the frame of the body `palm`."""
     turn = data.xmat[palm].reshape(3, 3)
-    bodies = [model.body(name).id for name in scene.tool_bodies]
-    axes = data.xmat[bodies].reshape(-1, 3, 3)[:, :, 0]
-    return (data.xpos[bodies] - data.xpos[palm]) @ turn, axes @ turn
+    axes = data.xmat[parts].reshape(-1, 3, 3)[:, :, 0]
+    return (data.xpos[parts] - data.xpos[palm]) @ turn, axes @ turn

@@ -18,6 +18,7 @@ from understudy_bayes.libraries import (
     LogNormalPrior,
     ModelFittingError,
     SingleTaskGP,
+    directly,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
 )
@@ -55,7 +56,8 @@ class Surrogate:
             likelihood = ExactMarginalLogLikelihood(model.likelihood, model)
             begin = {name: v.clone() for name, v in model.state_dict().items()}
             try:
-                fit_gpytorch_mll(likelihood, optimizer_kwargs={"options": {"maxiter": 100}})
+                with directly():
+                    fit_gpytorch_mll(likelihood, optimizer_kwargs={"options": {"maxiter": 100}})
             except ModelFittingError:  # nothing can be learned from these: the priors' modes stay
                 model.load_state_dict(begin)
         noise: Any = model.likelihood.noise

@@ -26,7 +26,7 @@ from understudy_bayes.libraries import (
     ProductKernel,
     RBFKernel,
     SingleTaskGP,
-    debug,
+    directly,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
 )
@@ -116,7 +116,7 @@ class Surrogate:
         begin = {name: value.clone() for name, value in model.state_dict().items()}
         likelihood = ExactMarginalLogLikelihood(model.likelihood, model)
         try:
-            with debug(False):  # GPyTorch's checks of itself, a seventh of the time
+            with directly():
                 fit_gpytorch_mll(likelihood, optimizer_kwargs={"options": {"maxiter": 200}})
         except ModelFittingError:  # nothing can be learned from these: the priors' modes stay
             model.load_state_dict(begin)
@@ -136,7 +136,7 @@ class Surrogate:
     def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
         fidelities `z` (m,)."""
-        with debug(False):
+        with directly():
             found = self._model.posterior(_joined(self._taken(x), z))
             mean, variance = found.mean, found.variance
         assert isinstance(mean, Tensor)

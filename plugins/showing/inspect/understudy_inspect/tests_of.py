@@ -7,7 +7,9 @@ import inspect
 import re
 import sysconfig
 import warnings
-from collections.abc import Iterator
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from understudy.setup.registry import Component
@@ -56,26 +58,43 @@ def _folder(factory: object, plugin: str) -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def _count(text: str, own: str, chosen: re.Pattern[str]) -> int:
-    """How often a test file's `text` names the part: by its `own` name, or as a configuration has `chosen` it."""
+@dataclass(frozen=True)
+class _Named:
+    """What a test file names, each as often as it does."""
+
+    imported: tuple[tuple[str, str], ...]  #: what is imported, and under which name
+    constants: tuple[str, ...]  #: texts
+    names: Counter[str]
+    attributes: Counter[str]
+
+
+@lru_cache(64)  # the tests of a plugin are asked for each of its parts
+def _named(text: str) -> _Named | None:
+    """What a test file's `text` names; None if it is no Python."""
     try:
         with warnings.catch_warnings(action="ignore"):  # of what a test file escapes
             nodes = list(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError):  # the latter of bytes that are none of Python's
+        return None
+    constants = (n.value for n in nodes if isinstance(n, ast.Constant))
+    return _Named(
+        tuple(
+            (alias.name, alias.asname or alias.name)
+            for node in nodes
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        ),
+        tuple(value for value in constants if isinstance(value, str)),
+        Counter(node.id for node in nodes if isinstance(node, ast.Name)),
+        Counter(node.attr for node in nodes if isinstance(node, ast.Attribute)),
+    )
+
+
+def _count(text: str, own: str, chosen: re.Pattern[str]) -> int:
+    """How often a test file's `text` names the part: by its `own` name, or as a configuration has `chosen` it."""
+    named = _named(text)
+    if named is None:
         return 0
-    imported = {name for node in nodes for name in _imported(node, own)}
-    count = 0
-    for node in nodes:
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            count += len(chosen.findall(node.value))
-        elif isinstance(node, ast.Name):
-            count += node.id in imported
-        elif isinstance(node, ast.Attribute):
-            count += node.attr == own
-    return count
-
-
-def _imported(node: ast.AST, own: str) -> Iterator[str]:
-    """Under which names an import gives what is called `own`."""
-    if isinstance(node, ast.ImportFrom):
-        yield from (alias.asname or own for alias in node.names if alias.name == own)
+    imported = {under for name, under in named.imported if name == own}
+    by_choice = sum(len(chosen.findall(constant)) for constant in named.constants)
+    return by_choice + sum(named.names[name] for name in imported) + named.attributes[own]
