@@ -18,6 +18,7 @@ from worlds import CLI, SMALL, child_environment, make_training, resumed
 
 from understudy.command.cli import main
 from understudy.errors import RunError
+from understudy.folders import write_atomically
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
 from understudy.setup.composition import load_experiment
@@ -160,7 +161,7 @@ def test_a_file_where_a_folder_is(
     (tmp_path / "there").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RunError, match="could not be written"):
-        checkpoint.write_atomically(Path(place), b"a page")
+        write_atomically(Path(place), b"a page")
     with pytest.raises(RunError, match="could not be written"):
         write_video(Path(place), iter([np.zeros((4, 4, 3), np.uint8)]), 10.0)
     assert [p.name for p in tmp_path.rglob("*")] == ["there"]

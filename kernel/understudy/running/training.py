@@ -143,15 +143,9 @@ class Training:
         return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run;
-        one that was stopped before the first starts from the beginning.
-
-        Raises
-        ------
-        RunError
-            if the checkpoint is not of a training, or does not fit;
-            or if none is left of one that was under way.
-        """
+        """Load the newest intact checkpoint of the run; one that was stopped before the first starts
+        from the beginning. A RunError if the checkpoint is not of a training, or does not fit; or if
+        none is left of one that was under way."""
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():

@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from torch import Tensor
-
 from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.task.base import Shape
 
 if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
     from understudy.running.environment import Environment
 
 T = TypeVar("T")

@@ -16,8 +16,8 @@ from typing import Any
 
 from understudy.command.command import Command, tell
 from understudy.errors import ConfigError, RunError, UnderstudyError
+from understudy.folders import write_atomically
 from understudy.records import checkpoint, runs
-from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced

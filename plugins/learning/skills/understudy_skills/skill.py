@@ -17,10 +17,9 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
-from understudy.folders import read
+from understudy.folders import read, write_atomically
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
-from understudy.records.checkpoint import write_atomically
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, refuse_resolvers, replaced

@@ -22,10 +22,9 @@ from typing import Any
 import torch
 
 from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
-from understudy.folders import read
+from understudy.folders import read, write_atomically
 from understudy.options import at
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
