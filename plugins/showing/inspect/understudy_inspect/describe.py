@@ -208,6 +208,11 @@ def _lines(head: str, parts: Sequence[Component]) -> str:
 
 
 def _component(component: Component, plugins: Plugins) -> str:
+    with component.guarded("cannot be described"):
+        return _described(component, plugins)
+
+
+def _described(component: Component, plugins: Plugins) -> str:
     factory = component.factory
     schema = schema_of(factory)
     comments = _sentences(factory)
