@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import json
 import shutil
 from pathlib import Path
 
@@ -132,6 +133,18 @@ def test_a_record_of_something_else(tmp_path: Path, content: str) -> None:
     with pytest.raises(
         RunError, match=r"run\.json is damaged: it does not say what was trained\.$"
     ):
+        open_run(tmp_path)
+
+
+@pytest.mark.parametrize("number", ["Infinity", "-Infinity", "NaN", "1e999"])
+@pytest.mark.parametrize("key", ["config", "sources"])
+def test_a_record_with_numbers_that_no_checkpoint_holds(
+    tmp_path: Path, key: str, number: str
+) -> None:
+    """A training went on from it, and ended in a traceback when it was to be saved."""
+    info = {"layout": 3, "config": {}, "overrides": [], "sources": {}, key: {"task": "ODD"}}
+    (tmp_path / "run.json").write_text(json.dumps(info).replace('"ODD"', number))
+    with pytest.raises(RunError, match=r"run\.json is damaged: Out of range float values"):
         open_run(tmp_path)
 
 

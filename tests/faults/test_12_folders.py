@@ -218,6 +218,18 @@ def test_a_pipe_or_a_device_is_not_replaced(
     assert pipe.is_fifo()
 
 
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+def test_a_link_to_what_is_not_there_now_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    """As to a disk that is not mounted: the link was taken for nothing, and a file stood in its place."""
+    link = tmp_path / "page.html"
+    link.symlink_to(tmp_path / "elsewhere/page.html")
+    assert main(["export", "spacetime/walk", str(link), *more]) == 2
+    assert capsys.readouterr().err == f"understudy: {link} is there already. Name another file.\n"
+    assert link.is_symlink()
+
+
 def test_no_folder_for_temporary_files(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

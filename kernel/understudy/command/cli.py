@@ -191,15 +191,14 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
                     usage = parser.format_usage().removeprefix("usage: ").strip()
                     parser.usage = f"{usage} [KEY=VALUE …]"
             if type(command).writes is not Command.writes:
-                parser.add_argument(
-                    "--overwrite", action="store_true", help="replace files that are there"
-                )
+                parser.add_argument("--overwrite", action="store_true", help="replace what exists")
             parser.format_help()  # which a per cent sign in a help may be the end of
 
         def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
             options.overrides = overrides
-            for path in filter(None, command.writes(options)):
-                if path.exists() and not (path.is_dir() or (options.overwrite and path.is_file())):
+            files = filter(None, command.writes(options))
+            for path in (file for file in files if file.is_symlink() or file.exists()):
+                if not (path.is_dir() or (options.overwrite and path.is_file())):
                     how = ", or add --overwrite" if path.is_file() else ""  # no pipe, no device
                     raise FileError(f"{path} is there already. Name another file{how}.")
             return command.run(options)

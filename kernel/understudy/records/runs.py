@@ -298,6 +298,7 @@ def open_run(path: str | Path) -> Run:
             raise ValueError("its config is no mapping")
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
+        json.dumps([info["config"], info["sources"]], allow_nan=False)  # as checkpoints have them
         words = info["overrides"]
         if not (isinstance(words, list) and all(isinstance(word, str) for word in words)):
             raise ValueError("its overrides are no words")
