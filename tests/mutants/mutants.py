@@ -387,7 +387,7 @@ MUTANTS = (
            f"{SWEEPS}/test_sweep.py -k interrupted_trial"),
     Mutant("a first Ctrl-C is silent", f"{KERNEL}/signals.py", "            StopRequest._nested[0].tell(text)\n", "",
            f"{F13} -k second_ctrl_c"),
-    Mutant("a pipe is made a file", f"{KERNEL}/command/cli.py", "if path.exists() and not (", "if path.is_file() and not (",
+    Mutant("a pipe is made a file", f"{KERNEL}/command/cli.py", "there = path.is_symlink() or path.exists()", "there = path.is_file()",
            "tests/faults/test_12_folders.py -k pipe"),
     Mutant("no temporary folder is a traceback", f"{KERNEL}/command/cli.py",
            "isinstance(error, FileNotFoundError) and tempfile.tempdir is error.filename is None", "False",

@@ -196,9 +196,9 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
 
         def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
             options.overrides = overrides
-            files = filter(None, command.writes(options))
-            for path in (file for file in files if file.is_symlink() or file.exists()):
-                if not (path.is_dir() or (options.overwrite and path.is_file())):
+            for path in filter(None, command.writes(options)):
+                there = path.is_symlink() or path.exists()
+                if there and not (path.is_dir() or (options.overwrite and path.is_file())):
                     how = ", or add --overwrite" if path.is_file() else ""  # no pipe, no device
                     raise FileError(f"{path} is there already. Name another file{how}.")
             return command.run(options)

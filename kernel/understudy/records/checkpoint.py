@@ -117,7 +117,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
         body = outer["content"]
         if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:
             raise RunError(f"{path} is damaged: its digest does not match.")
-        return json.loads(body)
+        return json.loads(json.dumps(json.loads(body), allow_nan=False))  # NaN is no JSON
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}.") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

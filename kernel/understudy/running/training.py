@@ -202,14 +202,8 @@ class Training:
 
     def train(self) -> str:
         """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
-
-        Raises
-        ------
-        PreemptedError
-            after a stop signal, when everything is saved.
-        TrainingError
-            when the numbers leave the finite for good.
-        """
+        A PreemptedError after a stop signal, when everything is saved; a TrainingError when the
+        numbers leave the finite for good."""
         for _ in self.rows():
             pass
         return self.outcome

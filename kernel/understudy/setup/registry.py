@@ -110,9 +110,8 @@ class Component:
         if not isinstance(self.target, str):
             return self.target
         module, _, attribute = self.target.partition(":")
-        # In an import, C++ that Python raised through would abort.
         with self.guarded("cannot be used", "Install what it is missing"), StopRequest():
-            loaded = importlib.import_module(module)
+            loaded = importlib.import_module(module)  # C++ that Python raised through would abort
         if not hasattr(loaded, attribute):
             raise self.fault(f"is registered as '{self.target}', which does not exist")
         return getattr(loaded, attribute)
