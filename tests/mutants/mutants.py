@@ -882,4 +882,18 @@ MUTANTS = (
         "yield file",
         "tests/plugins/skills/test_rounding.py -k overwritten",
     ),
+    # Words that nothing reads, or that nothing can use; rows of others; plugins of others.
+    Mutant("keys of the root are not noted", f"{KERNEL}/setup/config.py",
+           'object.__getattribute__(self, "__dict__").get("asked", set()).add(key)', "pass",
+           "tests/plugins/training/test_words_without_effect.py"),
+    Mutant("what validation reads counts as read", f"{KERNEL}/setup/validation.py", "    asked.clear()\n", "",
+           "tests/plugins/training/test_words_without_effect.py -k root"),
+    Mutant("words that misfit are a traceback", ENVIRONMENT, "promises.name_misfit(self.parts, self.table, self.action)", "pass",
+           "tests/plugins/reinforcement/test_promised.py"),
+    Mutant("a rendering that is refused leaves a folder", "plugins/learning/judging/understudy_judging/commands.py",
+           "undo.callback(_remove, folder)", "pass", "tests/plugins/reinforcement/test_promised.py -k misfit"),
+    Mutant("rows of another search are counted", "plugins/search/bayes/understudy_bayes/book.py",
+           'if key not in known and key != f"{name}{len(known)}":', "if False:", "tests/plugins/bayes/test_book.py"),
+    Mutant("what a plugin raises is a traceback", f"{KERNEL}/setup/registry.py",
+           "if isinstance(error, UnderstudyError) or is_stop(error):", "if True:", "tests/faults/test_23_broken_plugins.py -k asked_for"),
 )  # fmt: skip
