@@ -85,13 +85,13 @@ def begin_that_stops_writing(mark: Path, *arguments: str) -> Any:
 
 
 def _stopping(mark: Path, arguments: tuple[str, ...]) -> None:
-    from understudy.records import checkpoint
+    from understudy import folders
 
     def stop(handle: int) -> None:
         mark.touch()
         time.sleep(600)
 
-    checkpoint.sync = stop
+    folders.sync = stop
     _quietly(arguments)
 
 

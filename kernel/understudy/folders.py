@@ -1,4 +1,4 @@
-"""Folders and files that may be a stranger's: nothing outside is reached, nothing endless is read."""
+"""Files: of a stranger's nothing outside is reached, nothing endless is read; ours are written whole."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from pathlib import Path
 
 from understudy.errors import RunError
 
-__all__ = ["DOCUMENT", "check_within", "opened", "read"]
+__all__ = ["DOCUMENT", "check_within", "opened", "read", "sync", "write_atomically"]
 
 DOCUMENT = 2**28  #: most bytes that a JSON file, such as ``run.json``, has
+#: Errors of file systems that have no locks, or cannot be asked to write at once.
+UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOTTY)
 
 
 def check_within(folder: Path) -> None:
@@ -70,3 +72,36 @@ def read(path: Path, most: int = DOCUMENT) -> bytes:
     """What is in the file; errors as :func:`opened`."""
     with opened(path, most) as file:
         return file.read(most)
+
+
+def sync(descriptor: int) -> None:
+    """Force what was written onto the disk, on file systems that can be asked to."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Replace `path` with `data` so that a crash leaves either the old file or the new one. A RunError
+    if the disk is full or the folder cannot be written; the old file is untouched."""
+    temporary = path.parent / f".{path.name}.{os.getpid()}.partial"
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            sync(file.fileno())
+        os.replace(temporary, path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            sync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise RunError(
+            f"{path} could not be written: {error.strerror}. What was there is untouched."
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):  # nothing is there unless that failed or was interrupted
+            temporary.unlink()

@@ -13,7 +13,7 @@ import pytest
 from commands import forked
 
 from understudy.errors import RunError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 
 #: Forks savers from one process that has torch imported already; kills each at a random moment.
 KILLER = """

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import copy
+import hashlib
+import json
 import shutil
 from pathlib import Path
 
@@ -133,6 +135,30 @@ def test_a_record_of_something_else(tmp_path: Path, content: str) -> None:
         RunError, match=r"run\.json is damaged: it does not say what was trained\.$"
     ):
         open_run(tmp_path)
+
+
+@pytest.mark.parametrize("number", ["Infinity", "-Infinity", "NaN", "1e999"])
+@pytest.mark.parametrize("key", ["config", "sources"])
+def test_a_record_with_numbers_that_no_checkpoint_holds(
+    tmp_path: Path, key: str, number: str
+) -> None:
+    """A training went on from it, and ended in a traceback when it was to be saved."""
+    info = {"layout": 3, "config": {}, "overrides": [], "sources": {}, key: {"task": "ODD"}}
+    (tmp_path / "run.json").write_text(json.dumps(info).replace('"ODD"', number))
+    with pytest.raises(RunError, match=r"run\.json is damaged: Out of range float values"):
+        open_run(tmp_path)
+
+
+@pytest.mark.parametrize("number", ["Infinity", "NaN", "1e999"])
+def test_a_checkpoint_with_numbers_that_none_is_written_with(tmp_path: Path, number: str) -> None:
+    """Of a packed skill its versions went on into a run, whose saving ended in a traceback."""
+    checkpoint.save(tmp_path / "skill", {"x": torch.ones(2)}, {"versions": "ODD"})
+    outer = json.loads((tmp_path / "skill.json").read_text())
+    body = outer["content"].replace('"ODD"', number)
+    digest = hashlib.sha256(body.encode()).hexdigest()
+    (tmp_path / "skill.json").write_text(json.dumps({"digest": digest, "content": body}))
+    with pytest.raises(RunError, match=r"skill\.json is damaged: it is no complete checkpoint\."):
+        checkpoint.load(tmp_path / "skill")
 
 
 def test_an_untrained_policy_is_not_judged_as_the_trained_one(

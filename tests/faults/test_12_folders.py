@@ -18,6 +18,7 @@ from worlds import CLI, SMALL, child_environment, make_training, resumed
 
 from understudy.command.cli import main
 from understudy.errors import RunError
+from understudy.folders import write_atomically
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
 from understudy.setup.composition import load_experiment
@@ -160,7 +161,7 @@ def test_a_file_where_a_folder_is(
     (tmp_path / "there").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RunError, match="could not be written"):
-        checkpoint.write_atomically(Path(place), b"a page")
+        write_atomically(Path(place), b"a page")
     with pytest.raises(RunError, match="could not be written"):
         write_video(Path(place), iter([np.zeros((4, 4, 3), np.uint8)]), 10.0)
     assert [p.name for p in tmp_path.rglob("*")] == ["there"]
@@ -215,6 +216,18 @@ def test_a_pipe_or_a_device_is_not_replaced(
     assert main(["export", "spacetime/walk", str(pipe), *more]) == 2
     assert capsys.readouterr().err == f"understudy: {pipe} is there already. Name another file.\n"
     assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+def test_a_link_to_what_is_not_there_now_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    """As to a disk that is not mounted: the link was taken for nothing, and a file stood in its place."""
+    link = tmp_path / "page.html"
+    link.symlink_to(tmp_path / "elsewhere/page.html")
+    assert main(["export", "spacetime/walk", str(link), *more]) == 2
+    assert capsys.readouterr().err == f"understudy: {link} is there already. Name another file.\n"
+    assert link.is_symlink()
 
 
 def test_no_folder_for_temporary_files(

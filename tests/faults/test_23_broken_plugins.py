@@ -8,27 +8,34 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
+from motion_files import write_npz
 from worlds import SMALL
 
 from understudy.command.cli import main
 from understudy.command.command import Command
-from understudy.errors import ConfigError, PluginError
+from understudy.errors import ConfigError, FileError, PluginError
 from understudy.records.observer import RunObserver
 from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
-from understudy.setup.registry import Registrar
+from understudy.setup.registry import Registrar, Registry
 from understudy.signals import StopRequest
 from understudy.task import Actuation, Encoder, Fields, InitialStates, Memory
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
+from understudy_characters.character import load_character
+from understudy_motion import library
+from understudy_motion.reading import read_clip
+from understudy_motion.writing import write_clip
+from understudy_skills.skill import open_skill
 
 
 def module(options: Path | None = None, **hooks: Any) -> ModuleType:
@@ -775,3 +782,158 @@ def test_what_a_plugin_says_of_itself_commands_no_terminal(
     told = capsys.readouterr().out
     assert "odd" in told
     assert not {"\x1b", "\x07"} & set(told)
+
+
+class _Raising:
+    """A reward whose options raise what no dataclass should."""
+
+    @dataclass
+    class Options:
+        size: float = 1.0
+
+        def __post_init__(self) -> None:
+            raise KeyError("size")
+
+
+class _Drawn:
+    """A reward with a default that cannot be made."""
+
+    @dataclass
+    class Options:
+        sizes: list[float] = field(default_factory=lambda: [1 / 0])
+
+
+class _Untouchable(type):
+    def __getattr__(cls, name: str) -> Any:
+        raise RuntimeError(name)
+
+
+class _OfAnOddKind(metaclass=_Untouchable):
+    """A reward of which nothing can be asked."""
+
+
+def _ranged(position: Any) -> Any:
+    return position
+
+
+_ranged.range = "wide"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [(_Raising, "has options that cannot be read: KeyError: 'size'."),
+     (_Drawn, "has options that cannot be read: ZeroDivisionError: division by zero."),
+     (_OfAnOddKind, "has options that cannot be read: RuntimeError: __dataclass_fields__."),
+     (_ranged, "has a range that is none: ValueError: too many values to unpack")],
+)  # fmt: skip
+def test_what_a_part_raises_while_it_is_asked_for_is_its_plugins(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], part: Any, why: str,
+) -> None:  # fmt: skip
+    """Each ended in a traceback, where the configuration was composed and where the part was described."""
+    with_stranger(of_one_part(monkeypatch, "reward", "stranger/odd", part))
+    words = [*GO, "reward.terms.odd={name: stranger/odd}", "reward.combine=product"]
+    assert unharmed(main, ["config", *words]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"understudy: reward 'stranger/odd' of plugin 'stranger' {why}")
+    assert told.rstrip().endswith("Mend the plugin, or choose another one.")
+    assert unharmed(main, ["describe", "reward/stranger/odd"]) in (0, 2)
+
+
+class _Typed(Command):
+    """A command that takes a word."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("word")
+
+    def run(self, options: argparse.Namespace) -> int:
+        return 0
+
+
+class _Begun(_Typed):
+    def __init__(self) -> None:
+        raise KeyError("begun")
+
+
+class _Asked(_Typed):
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        raise NameError("asked")
+
+
+class _Shared(_Typed):
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--share", help="100 % of it")
+
+
+class _Overwriting(_Typed):
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--overwrite")
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield None
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [(_Begun, "KeyError: 'begun'"), (_Asked, "NameError: asked"), (_Shared, "Error: "),
+     (_Overwriting, "ArgumentError: argument --overwrite: conflicting option string: --overwrite")],
+)  # fmt: skip
+@pytest.mark.parametrize("words", [["odd", "word"], ["odd", "--help"]])
+def test_commands_that_raise_before_they_run(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], command: Any, why: str, words: list[str],
+) -> None:  # fmt: skip
+    """Each ended in a traceback, the third only when its help was asked for."""
+    with_stranger(of_one_part(monkeypatch, "command", "odd", command))
+    assert unharmed(main, words) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("understudy: command 'odd' of plugin 'stranger' cannot be used: ")
+    assert why in told
+    assert unharmed(main, ["plugins"]) == 0
+
+
+@pytest.mark.parametrize("value", ["", " ", ":Plugin", "a b"])
+def test_an_entry_point_that_names_no_module(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    """It was "AttributeError: 'NoneType' object has no attribute 'group'"."""
+    with_entry(monkeypatch, entry(AttributeError("'NoneType' has no attribute 'group'"), value))
+    plugins = load(extra=[("fake", fake)])
+    said = f"its entry point is {value!r}, which names no module. Write stranger = MODULE there."
+    assert_isolated(plugins, said)
+
+
+def _fails(*args: Any, **options: Any) -> Any:
+    raise KeyError("asked")
+
+
+@pytest.mark.parametrize(
+    ("kind", "use"),
+    [("character", load_character), ("clip", lambda name, registry: library.load(name, None, registry)),
+     ("skill", lambda name, registry: open_skill(name, registry=registry))],
+)  # fmt: skip
+def test_what_is_asked_for_by_its_name(
+    monkeypatch: pytest.MonkeyPatch, kind: str, use: Callable[[str, Registry], Any]
+) -> None:
+    registry = load(extra=[("stranger", of_one_part(monkeypatch, kind, "odd", _fails))]).registry
+    with pytest.raises(PluginError, match=f"^{kind} 'odd' of plugin 'stranger' cannot be used: "):
+        use("odd", registry)
+
+
+@pytest.mark.parametrize("part", [_fails, object])
+def test_formats_of_others_are_read_and_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, part: Any
+) -> None:
+    """All are asked which one a file is of, or an ending, and one that cannot be made is named where none is found."""
+    stranger = of_one_part(monkeypatch, "clip_reader", "odd", part)
+    vars(stranger)["PARTS"]["clip_writer"] = {"odd": ("parts:part", "is odd")}
+    registry = load(extra=[("stranger", stranger)]).registry
+    clip = read_clip(write_npz(tmp_path), registry)
+    write_clip(clip, tmp_path / "again.npz", registry)
+    (tmp_path / "notes.txt").write_text("no motion\n")
+    for use in (
+        lambda: read_clip(tmp_path / "notes.txt", registry),
+        lambda: write_clip(clip, tmp_path / "clip.odd", registry),
+    ):
+        with pytest.raises(
+            FileError, match=r"Plugin 'stranger' did not load: clip_(read|writ)er 'odd'"
+        ):
+            use()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+from recorded_runs import make_run
 from worlds import python
 
 
@@ -16,6 +18,29 @@ print(sorted(heavy & sys.modules.keys()), [p.status for p in plugins.loaded if p
 """
     done = python(code, cwd=tmp_path)
     assert done.stdout.strip() == "[] ['ok', 'ok']", done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--help"], ["plugins"], ["tasks"], ["experiments"], ["train"], ["train", "--help"], ["resume", "--help"],
+     ["sweep"], ["describe", "learner"], ["runs"], ["runs", "--json"], ["cite", "runs/run"], ["licence", "runs/run"],
+     ["completion", "bash"], ["new", "plugin", "tall"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_what_needs_no_tensors_starts_without_torch(tmp_path: Path, words: list[str]) -> None:
+    """Lists, help, and what only reads run folders; torch alone takes seconds of each start."""
+    (tmp_path / "runs").mkdir()
+    make_run(tmp_path / "runs")
+    code = f"""
+import contextlib, sys
+from understudy.command.cli import main
+with contextlib.suppress(SystemExit):
+    main({words!r})
+print("torch" in sys.modules)
+"""
+    done = python(code, cwd=tmp_path)
+    assert done.stdout.splitlines()[-1:] == ["False"], done.stdout + done.stderr
+    assert len(done.stdout + done.stderr) > 50  # it has done what it is for
 
 
 def test_first_step_without_network_home_or_cache(tmp_path: Path) -> None:

@@ -179,26 +179,26 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
         parser = where.add_parser(word, **_help(shown(component.summary)))
         if list(arguments[: len(group) + 1]) != [*group, word]:
             continue
-        command = component.make(Command)
-        command.arguments(parser)
-        parser.formatter_class = argparse.RawDescriptionHelpFormatter
-        example = f"for example:\n  {command.example}" if command.example else ""
-        parser.epilog = example.replace("%", "%%")
-        if command.takes_overrides:
-            parser.epilog += f"\n\n{_text('help.txt')}"
-            if parser.usage is None:
-                parser.usage = (
-                    f"{parser.format_usage().removeprefix('usage: ').strip()} [KEY=VALUE …]"
-                )
-        if type(command).writes is not Command.writes:
-            parser.add_argument(
-                "--overwrite", action="store_true", help="replace files that are there"
-            )
+        with component.guarded("cannot be used"):
+            command = component.make(Command)
+            command.arguments(parser)
+            parser.formatter_class = argparse.RawDescriptionHelpFormatter
+            example = f"for example:\n  {command.example}" if command.example else ""
+            parser.epilog = example.replace("%", "%%")
+            if command.takes_overrides:
+                parser.epilog += f"\n\n{_text('help.txt')}"
+                if parser.usage is None:
+                    usage = parser.format_usage().removeprefix("usage: ").strip()
+                    parser.usage = f"{usage} [KEY=VALUE …]"
+            if type(command).writes is not Command.writes:
+                parser.add_argument("--overwrite", action="store_true", help="replace what exists")
+            parser.format_help()  # which a per cent sign in a help may be the end of
 
         def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
             options.overrides = overrides
             for path in filter(None, command.writes(options)):
-                if path.exists() and not (path.is_dir() or (options.overwrite and path.is_file())):
+                there = path.is_symlink() or path.exists()
+                if there and not (path.is_dir() or (options.overwrite and path.is_file())):
                     how = ", or add --overwrite" if path.is_file() else ""  # no pipe, no device
                     raise FileError(f"{path} is there already. Name another file{how}.")
             return command.run(options)

@@ -8,13 +8,10 @@ mebibyte or more that become much smaller by it (worlds' lists with unused place
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
-import errno
 import hashlib
 import json
 import math
-import os
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,50 +24,15 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from understudy.errors import RunError
-from understudy.folders import opened, read
+from understudy.folders import opened, read, write_atomically
 
-__all__ = ["load", "misshapen", "newest", "save", "sync", "write_atomically"]
+__all__ = ["load", "misshapen", "newest", "save"]
 
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3
-#: Errors of file systems that have no locks, or cannot be asked to write at once.
-UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOTTY)
 _LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated, and of all of them together
 _LARGEST = 2**33  #: bytes of a file of tensors that is read
 _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.int64)}
-
-
-def sync(descriptor: int) -> None:
-    """Force what was written onto the disk, on file systems that can be asked to."""
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in UNSUPPORTED:
-            raise
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Replace `path` with `data` so that a crash leaves either the old file or the new one. A RunError
-    if the disk is full or the folder cannot be written; the old file is untouched."""
-    temporary = path.parent / f".{path.name}.{os.getpid()}.partial"
-    try:
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            sync(file.fileno())
-        os.replace(temporary, path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            sync(folder)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        raise RunError(
-            f"{path} could not be written: {error.strerror}. What was there is untouched."
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):  # nothing is there unless that failed or was interrupted
-            temporary.unlink()
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
@@ -155,7 +117,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
         body = outer["content"]
         if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:
             raise RunError(f"{path} is damaged: its digest does not match.")
-        return json.loads(body)
+        return json.loads(json.dumps(json.loads(body), allow_nan=False))  # NaN is no JSON
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}.") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.task import Scene
 
 __all__ = ["Recording"]

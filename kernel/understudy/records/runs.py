@@ -32,13 +32,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from understudy.errors import RunError
-from understudy.folders import check_within, open_lock, opened, read
+from understudy.folders import UNSUPPORTED, check_within, open_lock, opened, read, write_atomically
 from understudy.inputs import Inputs
-from understudy.records import checkpoint
-from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
@@ -122,7 +118,7 @@ class Run:
                 f"Another process is training in {self.path}. Wait for it, or give run.dir another folder."
             ) from error
         except OSError as error:
-            if error.errno not in checkpoint.UNSUPPORTED:
+            if error.errno not in UNSUPPORTED:
                 raise RunError(f"{self.path} cannot be written: {error.strerror}.") from error
             text = f"The file system of {self.path} has no locks: start no second training in it."
             print(text, file=sys.stderr)
@@ -169,6 +165,8 @@ class Run:
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """The ``(state, meta)`` of the newest intact checkpoint; `warn` is told of damaged ones. A
         RunError if there is none, or it does not say after how many samples it was made."""
+        from understudy.records import checkpoint  # what needs no tensors does without torch
+
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
         progress = state.get("progress") if isinstance(state, dict) else None
         samples = progress.get("samples") if isinstance(progress, dict) else None
@@ -212,13 +210,10 @@ class Run:
 
 
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
-    """Make the run folder of a new training.
+    """Make the run folder of a new training; a RunError if it holds a run already or cannot be
+    written."""
+    import torch
 
-    Raises
-    ------
-    RunError
-        if the folder holds a run already or cannot be written.
-    """
     root = experiment.root
     named = [o.partition("=")[2] for o in overrides if o.lstrip("+").startswith("experiment=")]
     used = {(c.kind, c.name): c for c in experiment.components()}
@@ -287,14 +282,8 @@ def _free_folder(name: str) -> Path:
 
 
 def open_run(path: str | Path) -> Run:
-    """Open an existing run folder.
-
-    Raises
-    ------
-    RunError
-        if there is none, it is damaged, a part of it leads out of it, or a newer understudy
-        wrote it.
-    """
+    """Open an existing run folder; a RunError if there is none, it is damaged, a part of it leads out
+    of it, or a newer understudy wrote it."""
     path = Path(path)
     file = path / "run.json"
     if not os.path.lexists(file):
@@ -309,6 +298,7 @@ def open_run(path: str | Path) -> Run:
             raise ValueError("its config is no mapping")
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
+        json.dumps([info["config"], info["sources"]], allow_nan=False)  # as checkpoints have them
         words = info["overrides"]
         if not (isinstance(words, list) and all(isinstance(word, str) for word in words)):
             raise ValueError("its overrides are no words")

@@ -7,6 +7,7 @@ longer than a step are changed in place, so that a step can be captured and repl
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import os
@@ -81,23 +82,10 @@ def _replace(kept: Tensor, value: Tensor, worlds: Tensor | None) -> None:
 class Environment:
     """N worlds of one task.
 
-    Parameters
-    ----------
-    parts
-        what the task consists of.
-    context
-        N, device, seed, and rates; its difficulty is the field of that name, unless the
-        curriculum provides it.
-    episode_seconds
-        episodes are truncated at this length, unless the curriculum provides
-        ``episode_limit`` (which it does not in evaluations).
-    known_fields
-        from a field's name to the components that provide it, for errors.
-
-    Raises
-    ------
-    ConfigError
-        if a part reads a field that nothing provides, or a term has the wrong shape.
+    `context` has N, device, seed, rates, and a difficulty, which is that field unless the curriculum
+    provides it. Episodes are truncated at `episode_seconds`, unless the curriculum provides
+    ``episode_limit`` (not in evaluations). `known_fields` gives the components that provide a field,
+    for errors. A ConfigError if a part reads what nothing provides, or a term has a wrong shape.
     """
 
     def __init__(
@@ -255,8 +243,13 @@ class Environment:
             for name, streams in self._memory_streams.items():
                 streams.restart(seed, f"memory/{name}{end}")
         everywhere = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
-        self._begin(everywhere)
-        promises.check_shapes(self.parts, self.table, self.action)
+        try:
+            self._begin(everywhere)
+            promises.check_shapes(self.parts, self.table, self.action)
+        except promises.MISFITS:
+            with contextlib.suppress(*promises.MISFITS):
+                promises.name_misfit(self.parts, self.table, self.action)
+            raise  # of a part's own
         self.observations = self._first()
         return self.observations
 

@@ -126,14 +126,8 @@ class Job(ABC):
 
     @abstractmethod
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`.
-
-        Raises
-        ------
-        RunError
-            if it belongs to another model, task or number of worlds; names the first
-            difference.
-        """
+        """Continue from `state`; a RunError that names the first difference if it belongs to another
+        model, task or number of worlds."""
 
     @abstractmethod
     def load_learned(self, state: State, samples: int) -> None:

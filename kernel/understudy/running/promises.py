@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -23,7 +24,7 @@ from understudy.task import (
 )
 from understudy.task.terms import Term, Wired
 
-__all__ = ["Parts"]
+__all__ = ["Parts", "calls"]
 
 
 @dataclass
@@ -84,6 +85,42 @@ def check_initial(
             f"initial_states returns '{name}', which is no state of this simulator and not "
             f"among its episode_fields. It takes: {', '.join(sorted(promised))}."
         )
+
+
+#: A part's place in the configuration, what it reads, and it as a function of that.
+Call = tuple[str, Mapping[str, str], Callable[..., Any]]
+#: What a part raises that is given tensors of other shapes than it was made for.
+MISFITS = (RuntimeError, LookupError, ValueError, TypeError, AttributeError)
+
+
+def calls(parts: Parts, action: Tensor) -> Iterator[Call]:
+    """Each part that is a pure function; `action` (N, A)."""
+    for provider in parts.fields:
+        yield provider.where, provider.reads, provider.part.compute
+    acts = parts.actuation
+    yield acts.where, acts.reads, functools.partial(acts.part.control, action)
+    for encoder in parts.encoders.values():
+        yield encoder.where, encoder.reads, encoder.part.encode
+    for term in (*parts.rewards, *parts.terminations, *parts.measures):
+        yield term.where, term.reads, functools.partial(term.function, **term.options)
+
+
+@torch.no_grad()
+def name_misfit(parts: Parts, table: FieldTable, action: Tensor) -> None:
+    """Raise ConfigError for a part that cannot use what its ``reads`` gives it, or what it raises."""
+    for where, reads, call in calls(parts, action):
+        given = table.pick(reads)
+        try:
+            call(**given)
+        except MISFITS as error:
+            other = {own: field for own, field in reads.items() if own != field}
+            shapes = [f"{field} {list(given[own].shape[1:])}" for own, field in other.items()]
+            if not other:
+                raise  # it reads what it asks for, so it is the part that is at fault
+            raise ConfigError(
+                f"{where} cannot use what its reads gives it: {', '.join(shapes)}. Name fields of the "
+                "shape that it takes (`understudy describe --fields` lists them), and options that fit."
+            ) from error
 
 
 def check_shapes(parts: Parts, table: FieldTable, action: Tensor) -> None:

@@ -15,14 +15,9 @@ from understudy.task.terms import Wired
 class FieldTable:
     """Values of state fields at the present state.
 
-    Fields come from the simulator, from the environment (`own`), or from providers,
-    which read other fields.
-
-    Raises
-    ------
-    ConfigError
-        if two parts provide the same field, or providers need each other's fields in a
-        circle.
+    Fields come from the simulator, from the environment (`own`), or from providers, which read other
+    fields. A ConfigError if two parts provide the same field, or providers need each other's fields
+    in a circle.
     """
 
     def __init__(

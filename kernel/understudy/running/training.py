@@ -143,15 +143,9 @@ class Training:
         return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run;
-        one that was stopped before the first starts from the beginning.
-
-        Raises
-        ------
-        RunError
-            if the checkpoint is not of a training, or does not fit;
-            or if none is left of one that was under way.
-        """
+        """Load the newest intact checkpoint of the run; one that was stopped before the first starts
+        from the beginning. A RunError if the checkpoint is not of a training, or does not fit; or if
+        none is left of one that was under way."""
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
@@ -208,14 +202,8 @@ class Training:
 
     def train(self) -> str:
         """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
-
-        Raises
-        ------
-        PreemptedError
-            after a stop signal, when everything is saved.
-        TrainingError
-            when the numbers leave the finite for good.
-        """
+        A PreemptedError after a stop signal, when everything is saved; a TrainingError when the
+        numbers leave the finite for good."""
         for _ in self.rows():
             pass
         return self.outcome

@@ -150,13 +150,9 @@ def build_term(chosen: Chosen, context: Context) -> Term:
 
 #: By kind: the attribute of its components' classes that says which fields they give.
 _GIVES = {
-    "fields": "provides",
-    "memory": "keeps",
-    "actuation": "keeps",
-    "initial_states": "episode_fields",
-    "curriculum": "provides",
-    "simulator": "fields",
-}
+    "fields": "provides", "curriculum": "provides", "memory": "keeps", "actuation": "keeps",
+    "initial_states": "episode_fields", "simulator": "fields",
+}  # fmt: skip
 
 
 def providers_of(field: str, registry: Registry) -> Iterator[str]:

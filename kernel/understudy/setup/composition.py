@@ -314,12 +314,8 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     """The composed configuration as plain data.
 
     A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
-    set it: what the task or experiment says of its own choice is not mixed in.
-
-    Raises
-    ------
-    ConfigError
-        if Hydra cannot compose it, or it contains a key that names code.
+    set it: what the task or experiment says of its own choice is not mixed in. A ConfigError if Hydra
+    cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
     overrides = [readable(o) for o in ([overrides] if isinstance(overrides, str) else overrides)]

@@ -13,7 +13,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
 from understudy.options import at, plain
 from understudy.setup.registry import Component, Registry
-from understudy.setup.root import Root
+from understudy.setup.root import KEYS, Root
 
 __all__ = ["Chosen", "Experiment"]
 
@@ -35,6 +35,14 @@ class Noting(dict[str, Any]):
     def get(self, key: str, default: Any = None) -> Any:
         self._asked.add(key)
         return super().get(key, default)
+
+
+class NotingRoot(Root):
+    """Notes which of its keys are asked for in its ``asked``, from when it has that."""
+
+    def __getattribute__(self, key: str) -> Any:
+        object.__getattribute__(self, "__dict__").get("asked", set()).add(key)
+        return super().__getattribute__(key)
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,7 @@ class Experiment:
     sections: Mapping[str, Any]
     registry: Registry
     inputs: Inputs = field(default_factory=Inputs)
-    asked: set[str] = field(default_factory=set)  #: the slots and sections that somebody has read
+    asked: set[str] = field(default_factory=set)  #: what of all this somebody has read, since then
 
     def one(self, slot: str) -> Chosen | None:
         """What fills `slot`, which takes one component."""
@@ -140,7 +148,8 @@ class Experiment:
     def effective(self) -> dict[str, Any]:
         """The configuration as plain data, every default filled in; validates to the same, also
         where plugins that it does not use are absent."""
-        found, choices = plain(dataclasses.asdict(self.root)), dict(self.choices)  # unnoted
+        root, choices = Root(**{k: vars(self.root)[k] for k in KEYS}), dict(self.choices)  # unnoted
+        found = plain(dataclasses.asdict(root))
         for slot in self.registry.slots.values():
             chosen = choices[slot.name]
             if not chosen and slot.plugin:

@@ -70,12 +70,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
     leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be read, or
     provides what an earlier one provides already is recorded in ``registry.broken``, with nothing of it
-    kept; the others still load. The bundled plugins come first, then the others by name.
-
-    Raises
-    ------
-    PluginError
-        if a variable names no plugin.
+    kept; the others still load. The bundled plugins come first, then the others by name. A PluginError
+    if a variable names no plugin.
     """
     result = Plugins()
     of = functools.cache(_of)  # many plugins are of one distribution
@@ -97,7 +93,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
             )
             _isolate(result, LoadedPlugin(f"{entry.name} of {by}", distribution, version), error)
         elif first is entry:  # else the same distribution, seen twice on the path
-            _add(result, LoadedPlugin(entry.name, distribution, version), entry.load)
+            plugin = LoadedPlugin(entry.name, distribution, version)
+            _add(result, plugin, lambda entry=entry: _module(entry))
     for name, module in extra:
         _add(result, LoadedPlugin(name), lambda module=module: module)
     faults = _broken_options(result) | result.registry.unknown_kinds()
@@ -116,6 +113,13 @@ def _entries(one: metadata.Distribution | None = None) -> Iterable[metadata.Entr
         whose = whose or f"one of {len([*map(_entries, metadata.distributions())])} packages"
         why = f"The entry points of {whose} cannot be read ({said(error)}), so that nothing with plugins"
         raise PluginError(f"{why} works beside it. Install it anew, or remove it.") from error
+
+
+def _module(entry: metadata.EntryPoint) -> Any:
+    if not metadata.EntryPoint.pattern.match(entry.value):
+        where = f"its entry point is {entry.value!r}, which names no module"
+        raise PluginError(f"{where}. Write {entry.name} = MODULE there.")
+    return entry.load()
 
 
 def _of(distribution: metadata.Distribution | None) -> tuple[str, str]:

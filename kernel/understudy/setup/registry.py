@@ -6,16 +6,17 @@ fill it. Components are looked up by name only; a configuration never names Pyth
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
 import importlib
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.errors import ConfigError, PluginError, said, suggestion
+from understudy.errors import ConfigError, PluginError, UnderstudyError, said, suggestion
 from understudy.options import Option, options_of
 from understudy.setup.root import KEYS
 from understudy.signals import StopRequest, is_stop
@@ -109,24 +110,32 @@ class Component:
         if not isinstance(self.target, str):
             return self.target
         module, _, attribute = self.target.partition(":")
-        try:
-            with StopRequest():  # in an import, C++ that Python raised through would abort
-                loaded = importlib.import_module(module)
-        except BaseException as error:  # whatever a library raises where it cannot run
-            if is_stop(error):
-                raise
-            why = f"cannot be used: {said(error)}"
-            raise self.fault(why, "Install what it is missing") from error
+        with self.guarded("cannot be used", "Install what it is missing"), StopRequest():
+            loaded = importlib.import_module(module)  # C++ that Python raised through would abort
         if not hasattr(loaded, attribute):
             raise self.fault(f"is registered as '{self.target}', which does not exist")
         return getattr(loaded, attribute)
 
     @functools.cached_property
     def options(self) -> Mapping[str, Option]:
-        try:
+        with self.guarded("has options that cannot be read"):  # neither dataclass nor function, say
             return options_of(self.factory)
-        except (TypeError, NameError, ValueError) as error:  # neither dataclass nor function, say
-            raise self.fault(f"has options that cannot be read: {said(error)}") from error
+
+    @contextlib.contextmanager
+    def guarded(self, why: str, advice: str = "Mend the plugin") -> Iterator[None]:
+        """Inside, whatever the plugin's code raises becomes its :meth:`fault`; what it refuses, and
+        what stops the process, stays what it is."""
+        try:
+            yield
+        except BaseException as error:  # a stranger's may raise anything
+            if isinstance(error, UnderstudyError) or is_stop(error):
+                raise
+            raise self.fault(f"{why}: {said(error).rstrip('.')}", advice) from error
+
+    def made(self, *given: Any, **options: Any) -> Any:
+        """What the factory makes, whatever it is; what it raises is the plugin's fault."""
+        with self.guarded("cannot be used"):
+            return self.factory(*given, **options)
 
     def fault(self, why: str, advice: str = "Mend the plugin") -> PluginError:
         """The error that says why it cannot be used as it is."""

@@ -22,7 +22,7 @@ from understudy.options import (
     make_options,
     options_of,
 )
-from understudy.setup.config import Chosen, Experiment, Noting
+from understudy.setup.config import Chosen, Experiment, Noting, NotingRoot
 from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import KEYS, Root
 from understudy.task.terms import Outcome, Reduction
@@ -44,30 +44,24 @@ EXTRAS: dict[str, dict[str, Option]] = {
 
 
 def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
-    """Look up every component that `raw` names and check every option.
-
-    Raises
-    ------
-    ConfigError
-        for an unknown key or component, a missing or wrong value; the message has the
-        key path.
-    """
+    """Look up every component that `raw` names and check every option. A ConfigError with the key path
+    for an unknown key or component, a missing or wrong value."""
     refuse_code(raw)
     known = root_keys(registry)
     for key in raw:
         if key not in known:
             raise ConfigError(unknown_key(str(key), registry) + registry.absent())
     given = {k: v for k, v in raw.items() if k in KEYS and not (v is None and k in GROUPS)}
-    root = make_options(Root, given, "")
+    root = make_options(NotingRoot, given, "")
     choices = {
         slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
         for slot in registry.slots.values()
     }
-    sections = {
-        name: make_options(section.options.factory, raw[name], name)
-        for name, section in registry.sections.items()
-        if raw.get(name) is not None
-    }
+    sections = {}
+    for name, section in registry.sections.items():
+        if raw.get(name) is not None:
+            with section.options.guarded("has options that cannot be read"):
+                sections[name] = make_options(section.options.factory, raw[name], name)
     asked = set[str]()
     experiment = Experiment(
         root, Noting(choices, asked), Noting(sections, asked), registry, asked=asked
@@ -77,13 +71,16 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
     _ = experiment.failures
     if root.reward.combine == "product":
         for term in experiment.many("reward.terms"):
-            low, high = getattr(term.component.factory, "range", (0.0, math.inf))
-            if low < 0:
-                raise ConfigError(
-                    f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, and "
-                    "reward.combine=product takes no negative terms. Use reward.combine=sum, or "
-                    "another term."
-                )
+            with term.component.guarded("has a range that is none"):
+                low, high = getattr(term.component.factory, "range", (0.0, math.inf))
+                if low < 0:
+                    raise ConfigError(
+                        f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, "
+                        "and reward.combine=product takes no negative terms. Use reward.combine=sum, "
+                        "or another term."
+                    )
+    asked.clear()
+    vars(root)["asked"] = asked
     return experiment
 
 
@@ -137,11 +134,11 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     component_name, options = _named(value, where)
     component = registry.find(slot.kind, component_name, where)
     extra = EXTRAS.get(slot.kind, {})
-    schema = getattr(component.factory, "Options", None)
     checked: Any = checked_options({**component.options, **extra}, options, where)
     extras = {key: checked.pop(key) for key in extra}
-    if schema is not None:
-        checked = filled(schema, checked, where)
+    with component.guarded("has options that cannot be read"):
+        if (schema := getattr(component.factory, "Options", None)) is not None:
+            checked = filled(schema, checked, where)
     # A function's options are its keyword-only parameters; a class without Options has none.
     return Chosen(name, component, checked or None, where, extras)
 

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import torch
-
 from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 
 if TYPE_CHECKING:
+    import torch
+
     from understudy.running.promises import Parts
     from understudy.setup.config import Chosen
     from understudy.setup.registry import Registry

@@ -13,12 +13,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from torch import Tensor
-
 from understudy.task.actions import ActionSpace
 from understudy.task.base import Shape, State
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from understudy.random import WorldStreams
     from understudy.task.rollout import Rollout
 

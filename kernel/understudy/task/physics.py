@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from torch import Tensor
-
 from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.task.base import Shape
 
 if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
     from understudy.running.environment import Environment
 
 T = TypeVar("T")
@@ -38,13 +38,8 @@ class Scene(ABC):
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
     ) -> Iterator[np.ndarray]:
-        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …).
-
-        Raises
-        ------
-        UnderstudyError
-            if nothing can be drawn here (no OpenGL).
-        """
+        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …); an UnderstudyError if
+        nothing can be drawn here (no OpenGL)."""
         raise UnderstudyError(f"scene {type(self).__name__} cannot be drawn.")
 
     def outlines(
@@ -73,13 +68,8 @@ class Simulator(ABC):
 
     def vary(self, names: Sequence[str]) -> None:
         """Let worlds differ in these ``parameters``; called once, before the first state is set.
-        They become fields of the same names, and begin with the model's values.
-
-        Raises
-        ------
-        ConfigError
-            for a parameter that the simulator does not know.
-        """
+        They become fields of the same names, and begin with the model's values. A ConfigError for a
+        parameter that the simulator does not know."""
         for name in names:
             known = suggestion(name, self.parameters)
             raise ConfigError(f"There is no parameter '{name}' in which worlds may differ.{known}")

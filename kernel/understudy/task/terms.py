@@ -5,11 +5,12 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, TypeVar
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from understudy.errors import ConfigError, suggestion
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 __all__ = ["Reduction", "Term", "Wired", "ranges", "renamed"]
 

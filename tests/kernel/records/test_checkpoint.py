@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from worlds import assert_same_state
 
 from understudy.errors import RunError
+from understudy.folders import write_atomically
 from understudy.records import checkpoint
 from understudy.records.runs import Run
 
@@ -151,12 +152,12 @@ def test_deflated_tensors_of_strangers_do_not_fill_the_memory(
 
 def test_write_atomically(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    checkpoint.write_atomically(path, b"one")
-    checkpoint.write_atomically(path, b"two")
+    write_atomically(path, b"one")
+    write_atomically(path, b"two")
     assert path.read_bytes() == b"two"
     assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
     with pytest.raises(RunError, match="could not be written"):
-        checkpoint.write_atomically(tmp_path / "nowhere/x", b"")
+        write_atomically(tmp_path / "nowhere/x", b"")
 
 
 @pytest.mark.parametrize("kind", ["missing", "a file", "a link to itself"])
@@ -167,7 +168,7 @@ def test_what_is_no_folder_is_one_sentence(tmp_path: Path, kind: str) -> None:
     elif kind == "a link to itself":
         parent.symlink_to(parent)
     with pytest.raises(RunError, match="00000001 could not be written: "):
-        checkpoint.write_atomically(parent / "00000001", b"1")
+        write_atomically(parent / "00000001", b"1")
     assert kind != "a file" or parent.read_text() == "theirs"
 
 
@@ -176,11 +177,11 @@ def test_a_file_system_that_cannot_be_asked_to_write_at_once(
     code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.fsync", fails_with(code))
-    checkpoint.write_atomically(tmp_path / "x", b"one")
+    write_atomically(tmp_path / "x", b"one")
     assert (tmp_path / "x").read_bytes() == b"one"
     monkeypatch.setattr("os.fsync", fails_with(errno.EIO))
     with pytest.raises(RunError, match="could not be written"):
-        checkpoint.write_atomically(tmp_path / "x", b"two")
+        write_atomically(tmp_path / "x", b"two")
 
 
 @pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])

@@ -116,6 +116,8 @@ def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
     ("words", "said"),
     [
         (["+run.dir=a", "+run.dir=b"], "run.dir has a value already. Write run.dir=VALUE, without +."),
+        (["seed=${seed}"], "A key takes its own value, or that of one which takes its: break the circle of ${…}."),
+        (["seed=${oc.decode:'!!python'}"], "What ${…:…} is given cannot be read."),
         (["++learner=ppo"], "learner chooses a file. Write learner=ppo, without +."),
         (["+learner=trpo"], "learner is chosen already. Write learner=NAME once, without +."),
         (["~learner=trpo"], "~learner=trpo leaves nothing out: that is not chosen."),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -165,6 +166,19 @@ def test_trials_of_another_search_are_refused() -> None:
     for x in (math.nan, -1.0, 1e300):  # of a scale that has no logarithm of it, or anywhere
         with pytest.raises(ConfigError, match="at another point when this search began"):
             b.recall(Trial("trial1", point={**trial.point, "a.x": x}, fidelity=0.0))
+
+
+@pytest.mark.parametrize(
+    "key", ["ppo/seed0", "trial", "trial2", "trial00", "trial01", "job1", "Trial1"]
+)
+def test_a_row_that_is_none_of_its_own_is_not_counted(key: str) -> None:
+    """It was, so that one trial fewer was made; the number of the next trial is that of the rows."""
+    b = book()
+    first = b.ask(0, [0.5, 0.5], 0.0)
+    with pytest.raises(ConfigError, match=f"^Trial '{key}' stands where this search's 'trial1' is"):
+        b.recall(replace(first, key=key))
+    assert [row["trial"] for row in b.summary()] == ["trial0"]
+    assert b.recall(replace(first, key="trial1"))
 
 
 def test_a_search_none_of_whose_trials_can_begin_is_wrong() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -132,4 +133,10 @@ def test_what_is_no_job_of_several(changed: dict[str, Any], said: str) -> None:
 
 def test_a_trial_of_another_search_is_refused() -> None:
     with pytest.raises(ConfigError, match="no job of this search"):
-        made().recall(Trial("trial0"))
+        made().recall(Trial("job0"))
+    job = asked(made(), 0)
+    for key in ("trial0", "job1", "c0"):
+        with pytest.raises(
+            ConfigError, match=f"^Trial '{key}' stands where this search's 'job0' is"
+        ):
+            made().recall(dataclasses.replace(job, key=key))

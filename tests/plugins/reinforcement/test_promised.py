@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -72,6 +73,37 @@ def test_fields_of_another_shape_are_the_users(
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "encoder.state cannot use what its reads gives it: distance []." in said
     assert not run.exists()
+
+
+MISFITS = (
+    ("encoder.state.reads={offset: distance}", "encoder.state cannot use what its reads gives it: distance []."),
+    ("measure.distance.index=5", "measure.distance cannot use what its reads gives it: distance []."),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("word", "sentence"), MISFITS)
+@pytest.mark.parametrize(
+    "command",
+    ["evaluate RUN", "render RUN", "play RUN --video FILM", "describe --observations RUN"],
+)
+def test_words_that_misfit_what_was_learned_are_the_users(
+    built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, word: str, sentence: str
+) -> None:  # fmt: skip
+    """Trainings said so; whatever judged, drew or described a run with such words ended in a traceback."""
+    shutil.copytree(built_on / "go", tmp_path / "go")
+    named = {"RUN": str(tmp_path / "go"), "FILM": str(tmp_path / "film.mp4")}
+    assert main([*(named.get(part, part) for part in command.split()), word]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "film.mp4").exists()
+    assert not (tmp_path / "go/renders").exists()
+
+
+@pytest.mark.parametrize(("word", "sentence"), MISFITS)
+def test_the_environments_own_reset_says_so(word: str, sentence: str) -> None:
+    environment = go(word)
+    with pytest.raises(ConfigError) as refused:
+        environment.reset()
+    assert str(refused.value).startswith(sentence)
 
 
 def test_it_begins_as_a_reset_does() -> None:

@@ -150,14 +150,14 @@ def search(tmp_path: Path, *events: Trial | Report) -> Found:
 def test_the_best_is_of_whole_trials_in_the_order_in_which_they_ended(tmp_path: Path) -> None:
     found = search(
         tmp_path,
-        Trial("a", fidelity=0.0),
-        Trial("b", fidelity=1.0),
-        Trial("c", fidelity=1.0),
-        Report("a", "ok", 9.0, cost=100),
-        Report("c", "ok", 1.0, cost=50),
-        Report("b", "ok", 3.0, cost=20),
-        Trial("d", fidelity=1.0),
-        Report("d", "failed: why", cost=30),
+        Trial("trial0", fidelity=0.0),
+        Trial("trial1", fidelity=1.0),
+        Trial("trial2", fidelity=1.0),
+        Report("trial0", "ok", 9.0, cost=100),
+        Report("trial2", "ok", 1.0, cost=50),
+        Report("trial1", "ok", 3.0, cost=20),
+        Trial("trial3", fidelity=1.0),
+        Report("trial3", "failed: why", cost=30),
     )
     assert found.curve[:, 0].tolist() == [100, 150, 170, 200]
     np.testing.assert_equal(found.curve[:, 1], [np.nan, 1.0, 3.0, 3.0])

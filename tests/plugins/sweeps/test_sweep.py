@@ -515,6 +515,28 @@ def test_gpus_that_no_variant_uses_are_refused(
     assert not (tmp_path / "sweep").exists()
 
 
+def test_a_gpu_that_a_variant_alone_asks_for_is_looked_for_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The others were trained, and that one failed after them."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    variants = "outer_loop.variants={here: [], there: [device=cuda]}"
+    assert main(["sweep", *BASE, variants, f"run.dir={tmp_path / 'sweep'}"]) == 2
+    assert "device=cuda, but torch sees no CUDA GPU here." in capsys.readouterr().err
+    assert not (tmp_path / "sweep").exists()
+
+
+def test_variants_that_differ_in_nothing_are_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were compared, with a difference of 0, without a word."""
+    variants = "outer_loop.variants={slow: [], same: ['learner.rate=1'], fast: ['learner.rate=2']}"
+    words = [*BASE, "learner.rate=1", variants, f"run.dir={tmp_path / 'sweep'}"]
+    assert main(["sweep", *words]) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "are one" in line]
+    assert told == ["Variants 'slow' and 'same' are one: their configurations differ in nothing."]
+
+
 def test_a_broken_first_trial_is_refused(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(scripted, "trials", [Trial("a", point={"learner.rat": 1.0})])
     with pytest.raises(ConfigError, match=r"Trial 'a' cannot be run: .*rat.*Did you mean 'rate'"):

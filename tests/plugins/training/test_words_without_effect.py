@@ -40,9 +40,36 @@ def test_what_nothing_reads_is_named(
     assert told in capsys.readouterr().err
 
 
+HARVEST = ("experiment=miniature/sleeve_bank", "job.count=2", "job.ending=any", "num_worlds=4")
+
+
 @pytest.mark.parametrize(
-    "word", ["resolution.substeps=1", "learner.gamma=0.9", "memory.target.every=1.0"]
+    ("word", "key"),
+    [
+        ("control.frequency=10", "control"),
+        ("episode.seconds=1", "episode"),
+        ("difficulty=0.5", "difficulty"),
+        ("reward.combine=sum", "reward"),
+        ("reward.terms.other={name: value, weight: 2.0}", "reward"),
+        ("termination.terms={}", "termination"),
+    ],
 )
+def test_keys_of_the_root_that_a_job_does_not_read_are_named(
+    word: str, key: str, built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A harvest runs another run's task, and took what was said of its own without a word."""
+    words = [*HARVEST, f"job.run={built_on / 'sleeve'}", f"run.dir={tmp_path / 'run'}"]
+    assert main(["train", *words, word]) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "changes nothing" in line]
+    assert told == [f"{word} changes nothing: no part of this run reads {key}."]
+
+
+@pytest.mark.parametrize(
+    "word",
+    ["resolution.substeps=1", "learner.gamma=0.9", "memory.target.every=1.0", "control.frequency=31", "difficulty=0.5",
+     "episode.seconds=2", "seed=3", "device=cpu", "evaluation.gate=0.5", "checkpoint.keep=2", "reward.combine=sum",
+     "termination.terms.out={name: beyond, reads: {value: distance}, limit: 9.0}"],
+)  # fmt: skip
 def test_of_what_is_read_nothing_is_said(
     word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -72,7 +72,7 @@ def character_spec(
         the file does not load.
     """
     if named in registry.names("character"):
-        return named, registry.find("character", named).factory()
+        return named, registry.find("character", named).made()
     known = registry.names("character")
     # A kept model's own file may be gone: it is told from a misspelt name by its spelling then.
     path = Path(named)

@@ -13,8 +13,7 @@ import numpy as np
 import torch
 
 from understudy.errors import ConfigError, FileError
-from understudy.folders import read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import read, write_atomically
 from understudy_gripping.hold import Held, hold, placed
 from understudy_gripping.styles import Style, read_style, written
 from understudy_hand.scene import HandScene

@@ -16,10 +16,9 @@ from pathlib import Path
 import torch
 
 from understudy.errors import ConfigError, FileError, RunError, suggestion
-from understudy.folders import read
+from understudy.folders import read, write_atomically
 from understudy.inputs import Inputs
 from understudy.options import check_range
-from understudy.records.checkpoint import write_atomically
 from understudy.setup.registry import Registry
 from understudy_gripping.finding import find_grip
 from understudy_gripping.grip import LARGEST, TOOLS, Grip, load_grip
@@ -147,7 +146,7 @@ def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Gri
             raise ConfigError(
                 f"There is no grip '{options.name}'.{suggestion(options.name, known)}"
             )
-        path = registry.find("grip", options.name).factory()
+        path = registry.find("grip", options.name).made()
     return Grips({_ONLY: load_grip(path)})
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from understudy.errors import ConfigError, FileError
+from understudy.errors import ConfigError, FileError, PluginError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
 from understudy_motion.limits import read_bytes
@@ -147,9 +147,21 @@ class ClipReader(ABC):
 
 def readers(registry: Registry) -> dict[str, ClipReader]:
     """By format name: the readers of all plugins."""
-    return {
-        name: registry.find("clip_reader", name).factory() for name in registry.names("clip_reader")
-    }
+    return every(registry, "clip_reader", ClipReader)
+
+
+def every(registry: Registry, kind: str, like: type) -> dict[str, Any]:
+    """By name one of each component of the `kind`, as its interface `like` has it. What cannot be made is left out,
+    and said where something is not found (:meth:`Registry.absent`)."""
+    found = {}
+    for name in registry.names(kind):
+        component = registry.find(kind, name)
+        try:
+            with component.guarded("cannot be used"):
+                found[name] = component.make(like)
+        except PluginError as error:
+            registry.broken[component.plugin] = str(error)
+    return found
 
 
 def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> Clip:

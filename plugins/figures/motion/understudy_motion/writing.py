@@ -17,6 +17,7 @@ import numpy as np
 from understudy.errors import FileError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
+from understudy_motion.reading import every
 
 __all__ = ["ClipWriter", "Shape", "Shown", "write_clip", "write_figures", "writer_of"]
 
@@ -84,7 +85,7 @@ def writer_of(path: Path, registry: Registry) -> ClipWriter:
     FileError
         there is none.
     """
-    writers = [registry.find("clip_writer", n).factory() for n in registry.names("clip_writer")]
+    writers: list[ClipWriter] = [*every(registry, "clip_writer", ClipWriter).values()]
     writer = next((w for w in writers if w.suffix == path.suffix.lower()), None)
     if writer is None:
         endings = ", ".join(sorted(w.suffix for w in writers))

@@ -9,6 +9,7 @@ import hashlib
 import json
 import math
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +17,8 @@ from typing import Any
 
 from understudy.command.command import Command, tell
 from understudy.errors import ConfigError, RunError, UnderstudyError
+from understudy.folders import write_atomically
 from understudy.records import checkpoint, runs
-from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
@@ -136,12 +137,13 @@ class Render(Command):
         changed = _changed(options.overrides, _PICTURE)
         changed += [f"checkpoint={int(chosen)}"] if chosen else []
         name = _name(options.overrides, chosen)
-        try:
+        with contextlib.ExitStack() as undo, contextlib.closing(training):
             if name:
+                if not (folder := run.path / RENDERS / name).exists():
+                    undo.callback(_remove, folder)  # whole, or not at all
                 run = _beside(run, name, chosen, options.overrides, training)
             judge(training, run, reporter, changed, _seconds(training, options.overrides))
-        finally:
-            training.close()
+            undo.pop_all()
         for note in unread(training.experiment, options.overrides):
             tell(note)
         if name:
@@ -197,6 +199,12 @@ def _beside(run: Run, name: str, chosen: str, words: Sequence[str], training: Tr
             raise
         raise RunError(f"{own.path} cannot be written: {error.strerror}.") from error
     return own
+
+
+def _remove(folder: Path) -> None:
+    """Remove `folder` with all that is in it, and the folder around it if nothing else is there."""
+    shutil.rmtree(folder, ignore_errors=True)
+    _remove_empty(folder)
 
 
 def _remove_empty(folder: Path) -> None:

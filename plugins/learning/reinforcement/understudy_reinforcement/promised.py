@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.running.environment import Environment
+from understudy.running.promises import calls
 
 __all__ = ["begin"]
-
-#: What a part raises that is given tensors of other shapes than it was made for, and what is raised of its result if
-#: that is no tensor.
-_MISFITS = (RuntimeError, LookupError, ValueError, TypeError, AttributeError)
 
 
 def begin(environment: Environment) -> dict[str, Tensor]:
@@ -25,13 +21,13 @@ def begin(environment: Environment) -> dict[str, Tensor]:
     Raises
     ------
     ConfigError
-        naming the part that returns no tensor, that writes into a field which others read, or that cannot use the
-        field which its ``reads`` gives it.
+        naming the part that returns no tensor, or that writes into a field which others read; and as
+        :meth:`Environment.reset`.
     """
     try:
         observations = environment.reset()
-    except _MISFITS:
-        with contextlib.suppress(*_MISFITS):
+    except (AttributeError, TypeError):  # of what is no tensor, say
+        with contextlib.suppress(AttributeError, TypeError):
             _try_all(environment)
         raise  # of a part's own
     _try_all(environment)
@@ -41,22 +37,10 @@ def begin(environment: Environment) -> dict[str, Tensor]:
 @torch.no_grad()
 def _try_all(environment: Environment) -> None:
     table = environment.table
-    for where, reads, call in _parts(environment):
+    for where, reads, call in calls(environment.parts, environment.action):
         given = table.pick(reads)
         versions = {name: _written(value) for name, value in given.items()}
-        try:
-            found = call(**given)
-        except _MISFITS as error:
-            other = {own: field for own, field in reads.items() if own != field}
-            if not other:
-                raise  # it reads what it asks for, so it is the part that is at fault
-            shapes = ", ".join(
-                f"{field} {list(given[own].shape[1:])}" for own, field in other.items()
-            )
-            raise ConfigError(
-                f"{where} cannot use what its reads gives it: {shapes}. Name fields of the shape that it takes "
-                "(`understudy describe --fields` lists them)."
-            ) from error
+        found = call(**given)
         for name, version in versions.items():
             if _written(given[name]) != version:
                 raise ConfigError(
@@ -74,26 +58,3 @@ def _try_all(environment: Environment) -> None:
 def _written(value: Tensor) -> int:
     """How often it was written into; one that was made in torch's inference mode does not count that."""
     return 0 if value.is_inference() else value._version
-
-
-def _parts(
-    environment: Environment,
-) -> Iterator[tuple[str, Mapping[str, str], Callable[..., Any]]]:
-    """Of each part that is a pure function: its place in the configuration, what it reads, and the function."""
-    parts = environment.parts
-    for provider in parts.fields:
-        yield provider.where, provider.reads, provider.part.compute
-    control = parts.actuation.part.control
-    yield (
-        parts.actuation.where,
-        parts.actuation.reads,
-        lambda **given: control(environment.action, **given),
-    )
-    for encoder in parts.encoders.values():
-        yield encoder.where, encoder.reads, encoder.part.encode
-    for term in (*parts.rewards, *parts.terminations, *parts.measures):
-        yield term.where, term.reads, _bound(term.function, term.options)
-
-
-def _bound(function: Callable[..., Any], options: Mapping[str, Any]) -> Callable[..., Any]:
-    return lambda **given: function(**given, **options)

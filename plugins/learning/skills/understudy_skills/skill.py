@@ -17,10 +17,9 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
-from understudy.folders import read
+from understudy.folders import read, write_atomically
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
-from understudy.records.checkpoint import write_atomically
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, refuse_resolvers, replaced
@@ -136,7 +135,7 @@ def open_skill(
     packed = path.suffix == ".json" and path.is_file()
     known = registry.names("skill")
     if source in known:
-        path = registry.find("skill", source).factory()
+        path = registry.find("skill", source).made()
         return _packed(path, source, registry, without, overrides)
     if packed:
         return _packed(path, path.stem, registry, without, overrides)
@@ -274,7 +273,7 @@ def with_own_starts(
         experiment = run.experiment(registry, _begun_as(own, skill))
     else:
         if source in registry.names("skill"):
-            path = registry.find("skill", source).factory()
+            path = registry.find("skill", source).made()
         own = checkpoint.load(path)[1]["config"]
         experiment = validate(_begun_as(own, skill), registry)
     return None if _starts(experiment) == _starts(skill.experiment) else experiment

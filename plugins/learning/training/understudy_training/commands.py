@@ -1,4 +1,7 @@
-"""What is typed to begin or continue a training."""
+"""What is typed to begin or continue a training.
+
+What trains is imported by the commands: help, and the list of experiments, come without torch.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import argparse
 
 from understudy.command.cli import main
 from understudy.command.command import Command
-from understudy_training import workflow
 
 
 class Train(Command):
@@ -19,7 +21,11 @@ class Train(Command):
         pass
 
     def run(self, options: argparse.Namespace) -> int:
-        return workflow.train(options.overrides) if options.overrides else main(["experiments"])
+        if not options.overrides:
+            return main(["experiments"])
+        from understudy_training.workflow import train
+
+        return train(options.overrides)
 
 
 class Resume(Command):
@@ -32,4 +38,6 @@ class Resume(Command):
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
-        return workflow.resume(options.run, options.overrides)
+        from understudy_training.workflow import resume
+
+        return resume(options.run, options.overrides)

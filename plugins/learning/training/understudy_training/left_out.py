@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from understudy.command.command import tell
-from understudy.folders import read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import read, write_atomically
 
 __all__ = ["leave_out"]
 

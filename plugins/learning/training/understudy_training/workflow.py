@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,7 @@ from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
+from understudy.setup.root import Root
 from understudy.setup.validation import validate
 from understudy.signals import StopRequest
 from understudy_training import processes, watching
@@ -103,10 +105,16 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     return _carry_out(training)
 
 
+_ROOT = frozenset(field.name for field in dataclasses.fields(Root))
+#: Keys that every run reads as it goes on, or when it is made.
+_LATER = frozenset({"task", "budget", "checkpoint", "evaluation", "run"})
+
+
 def unread(experiment: Experiment, overrides: Sequence[str]) -> Iterator[str]:
     """Of the words of a command line those that set what no part asked for when it was built."""
-    chosen = {slot for slot, parts in experiment.choices.items() if parts}
-    never = (chosen | experiment.sections.keys()) - experiment.asked
+    chosen = {slot.partition(".")[0] for slot, parts in experiment.choices.items() if parts}
+    there = (chosen | experiment.sections.keys() | _ROOT) - _LATER
+    never = there - {asked.partition(".")[0] for asked in experiment.asked}
     for word in overrides:
         key = word.lstrip("+").partition("=")[0].partition(".")[0]
         if key in never:

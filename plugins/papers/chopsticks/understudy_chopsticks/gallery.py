@@ -15,7 +15,7 @@ import numpy as np
 
 from understudy import __version__
 from understudy.errors import UnderstudyError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.setup.config import Experiment
 from understudy_chopsticks.found import best_of_styles, grip_file
 from understudy_gripping.grip import Grip, load_grip

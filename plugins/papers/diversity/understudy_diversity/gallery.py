@@ -15,8 +15,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from understudy import __version__
-from understudy.folders import read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import read, write_atomically
 from understudy.setup.config import Experiment
 from understudy_diversity import maps
 from understudy_diversity.novel_policies import NovelPolicies, known_strategies

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from understudy.errors import UnderstudyError
-from understudy.folders import DOCUMENT
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import DOCUMENT, write_atomically
 from understudy_diversity.strategies import GalleryOptions
 from understudy_report.pictures import png
 from understudy_report.recording import recorded_tracks

@@ -83,8 +83,9 @@ class RandomFidelity(OuterLoop):
         return trial
 
     def recall(self, trial: Trial) -> bool:
-        number = trial.key.removeprefix("trial")
-        if not number.isdecimal() or trial.point != self._point(int(number)):
+        # Else rows are another's, or some are lost.
+        own = {*self._trials, f"trial{len(self._trials)}"}
+        if trial.key not in own or trial.point != self._point(int(trial.key.removeprefix("trial"))):
             raise ConfigError(f"Trial '{trial.key}' was at another point when this search began.")
         self._trials[trial.key] = trial
         return True

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy_pose_vae.features import PoseFeatures
 
 #: In the run folder: where joints and tips are of the poses shown, and what is said of them.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -98,7 +98,9 @@ class Book:
         return trial
 
     def recall(self, trial: Trial) -> bool:
-        """Note a trial that was asked for before; always wanted."""
+        """Note a trial that was asked for before; always wanted. A ConfigError if it is no such trial, or not
+        the one that was asked for next."""
+        refuse_another(trial.key, "trial", self.trials)
         if self.trials.get(trial.key, trial) != trial or not self.space.has(trial.point):
             raise ConfigError(
                 f"Trial '{trial.key}' was at another point when this search began. Give run.dir another "
@@ -271,3 +273,14 @@ class Book:
 
 def _tensor(values: Sequence[Any]) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
+
+
+def refuse_another(key: str, name: str, known: Collection[str]) -> None:
+    """Raise ConfigError for the `key` of a trial that follows on those `known`, of which the n-th is called `name` and n: a
+    row of another search's would be counted as one of this one's."""
+    if key not in known and key != f"{name}{len(known)}":
+        raise ConfigError(
+            f"Trial '{key}' stands where this search's '{name}{len(known)}' is to be: rows of its journal are another "
+            "search's, or some are lost. If there is a journal.jsonl.left-out, mend it by that; else give run.dir "
+            "another folder."
+        )

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy_bayes.book import SearchOptions
+from understudy_bayes.book import SearchOptions, refuse_another
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.surrogate import SurrogateOptions
 from understudy_sweeps.loops import OuterLoop, Report, Trial
@@ -124,6 +124,7 @@ class SideBySide(OuterLoop):
         return together(f"job{number}", trials, self._options.overrides)
 
     def recall(self, trial: Trial) -> bool:
+        refuse_another(trial.key, "job", self._jobs)
         keys = self._jobs.get(trial.key) or self._next()
         found = {
             name: own

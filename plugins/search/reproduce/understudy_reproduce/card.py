@@ -12,8 +12,7 @@ from typing import Any, Literal
 from markupsafe import Markup
 
 from understudy import __version__
-from understudy.folders import read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import read, write_atomically
 from understudy_report import words
 from understudy_report.markup import piece
 from understudy_report.page import html_page

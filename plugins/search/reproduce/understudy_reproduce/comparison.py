@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from understudy import __version__
 from understudy.errors import ConfigError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy.setup.validation import validate

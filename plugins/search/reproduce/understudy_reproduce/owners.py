@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from understudy.errors import RunError
-from understudy.folders import check_within, read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import check_within, read, write_atomically
 from understudy_report.values import mapping
 
 _MARK = "reproduction.json"

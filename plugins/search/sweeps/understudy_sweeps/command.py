@@ -9,7 +9,6 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError, suggestion
 from understudy.setup import plugins as loaded
 from understudy.setup.composition import options as choices
-from understudy_sweeps.sweep import sweep
 
 
 class Sweep(Command):
@@ -31,6 +30,8 @@ class Sweep(Command):
             raise ConfigError(
                 f"Give variants={{NAME: [KEY=VALUE]}}, ablation=…, search=… or outer_loop=….{suggestion('', known)}"
             )
+        from understudy_sweeps.sweep import sweep  # and torch, which the list does without
+
         return sweep(words)
 
 

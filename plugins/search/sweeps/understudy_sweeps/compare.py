@@ -16,8 +16,8 @@ from typing import Any
 from understudy import __version__
 from understudy.command.command import Command
 from understudy.errors import ConfigError, UnderstudyError, shown
+from understudy.folders import write_atomically
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy_report import words
 from understudy_report.page import html_page

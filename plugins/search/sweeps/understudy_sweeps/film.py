@@ -12,9 +12,8 @@ import numpy as np
 import torch
 
 from understudy.errors import FileError, RunError, UnderstudyError
-from understudy.folders import opened, read
+from understudy.folders import opened, read, write_atomically
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy.setup.building import build_sections
 from understudy.task import Context, Scene
 from understudy_report.recording import recorded_tracks

@@ -17,8 +17,7 @@ from typing import Any
 from urllib.parse import quote
 
 from understudy.errors import ConfigError, RunError
-from understudy.folders import read
-from understudy.records.checkpoint import sync, write_atomically
+from understudy.folders import read, sync, write_atomically
 from understudy.setup.composition import refuse_resolvers
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of

@@ -85,7 +85,7 @@ class Work:
 
     overrides: tuple[str, ...]  #: the configuration that a trial's own overrides change
     folder: str  #: where the trials' run folders are
-    device: str = "cpu"
+    device: str = "cpu"  #: that trials compute on; a GPU, if one of them does
 
 
 class Executor(ABC):

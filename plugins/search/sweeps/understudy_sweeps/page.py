@@ -21,8 +21,7 @@ from markupsafe import Markup
 
 from understudy import __version__
 from understudy.errors import UnderstudyError
-from understudy.folders import read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import read, write_atomically
 from understudy.setup.config import Experiment
 from understudy_report.markup import piece
 from understudy_report.page import html_page

@@ -21,11 +21,11 @@ from typing import Any
 
 import torch
 
+from understudy.command.command import tell
 from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
-from understudy.folders import read
+from understudy.folders import read, write_atomically
 from understudy.options import at
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
@@ -72,6 +72,8 @@ def sweep(overrides: Sequence[str]) -> int:
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
     known, devices = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    gpu = next((device for device in sorted(devices) if device.startswith("cuda")), root.device)
+    work = dataclasses.replace(work, device=gpu)  # which a variant alone may ask for
     gpus = at(experiment.effective(), "executor.gpus")
     if gpus is not None and loop.plan and devices == {"cpu"}:
         raise ConfigError(
@@ -252,22 +254,30 @@ def _check(
     trials: Sequence[Trial | None], work: Work, measures: Sequence[str]
 ) -> tuple[set[str], set[str]]:
     """Refuse a sweep of which a variant cannot be composed, or lacks one of `measures`, before
-    anything runs; the measures of all variants, none where a job may have some of its own, and their devices."""
+    anything runs; the measures of all variants, none where a job may have some of its own, and their devices.
+    Variants that differ in nothing are told of."""
     seen: set[str] = set()
+    alike: dict[str, str] = {}
     devices: set[str] = set()
     found: list[set[str]] = []
     for trial in trials:
         if trial is None or (trial.variant or trial.key) in seen:
             continue
         seen.add(trial.variant or trial.key)
-        if "trial" in (trial.start or {}):
-            trial = dataclasses.replace(trial, start=None)
+        later = "trial" in (trial.start or {})  # it begins with what an earlier one learns
+        trial = dataclasses.replace(trial, start=None) if later else trial
         try:
             experiment = load_experiment(overrides_of(trial, work))
         except ConfigError as error:
             what = f"Variant '{trial.variant}'" if trial.variant else f"Trial '{trial.key}'"
             raise ConfigError(f"{what} cannot be run: {error}") from error
         devices.add(experiment.root.device)
+        raw = {k: v for k, v in experiment.effective().items() if k not in ("run", "seed")}
+        first = alike.setdefault(json.dumps(raw, sort_keys=True, default=str), trial.variant)
+        if first != trial.variant and not later:
+            tell(
+                f"Variants '{first}' and '{trial.variant}' are one: their configurations differ in nothing."
+            )
         known = {c.name for c in experiment.many("measure")}
         found.append(known if experiment.one("job") is None else set())
         for name in measures if known else ():  # else the job may have some of its own

@@ -17,9 +17,8 @@ from hydra.core.override_parser.types import Quote, QuotedString
 
 from understudy.command.command import tell
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
-from understudy.folders import read
+from understudy.folders import read, write_atomically
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.jobs import Judgement
 from understudy.running.training import Reporter, Training

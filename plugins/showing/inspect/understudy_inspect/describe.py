@@ -11,23 +11,22 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import REQUIRED, Option, in_words, options_of, schema_of
-from understudy.records.runs import open_run
-from understudy.setup.building import Built, build_environment
-from understudy.setup.composition import compose_raw, load_experiment
-from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
 from understudy.setup.root import Root
 from understudy.setup.validation import EXTRAS
-from understudy.testing.sentences import sentences
 from understudy_inspect.catalogue import Offer, offers
 from understudy_inspect.tests_of import tests_of
+
+if TYPE_CHECKING:
+    from understudy.setup.building import Built
+    from understudy.setup.config import Experiment
 
 #: Of the files that test a part: those that name it most.
 _SHOWN = 4
@@ -56,7 +55,7 @@ def describe(name: str, plugins: Plugins) -> str:
     name = f"{chosen}/{value}" if value and "/" not in chosen else name
     kind, _, rest = name.partition("/")
     if (group := _group(name, plugins)) is not None:
-        options = _table(name, options_of(group), sentences(group))
+        options = _table(name, options_of(group), _sentences(group))
         return f"{options}\n\n{_kind(name, plugins)}" if name in registry.kinds else options
     if (kind, rest) in registry.components:
         return _component(registry.components[kind, rest], plugins)
@@ -145,6 +144,10 @@ def _built(
     name: str, plugins: Plugins, overrides: Sequence[str], option: str
 ) -> Iterator[tuple[Experiment, Built]]:
     """One world on the CPU of a task, experiment or run, which `option` is asked of."""
+    from understudy.records.runs import open_run
+    from understudy.setup.building import build_environment
+    from understudy.setup.composition import compose_raw, load_experiment
+
     group, _, rest = name.replace("=", "/", 1).partition("/")
     if (Path(name) / "run.json").is_file():
         run = open_run(name)
@@ -205,9 +208,14 @@ def _lines(head: str, parts: Sequence[Component]) -> str:
 
 
 def _component(component: Component, plugins: Plugins) -> str:
+    with component.guarded("cannot be described"):
+        return _described(component, plugins)
+
+
+def _described(component: Component, plugins: Plugins) -> str:
     factory = component.factory
     schema = schema_of(factory)
-    comments = sentences(factory)
+    comments = _sentences(factory)
     parts = [
         f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
         f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")")
@@ -297,6 +305,12 @@ def _table(title: str, options: Mapping[str, Option], comments: Mapping[str, str
     return "\n".join([title, *lines])
 
 
+def _sentences(factory: Any) -> dict[str, str]:
+    from understudy.testing.sentences import sentences  # and torch, which lists do without
+
+    return sentences(factory)
+
+
 def _rows(
     options: Mapping[str, Option], comments: Mapping[str, str], prefix: str
 ) -> Iterator[tuple[str, str, str]]:
@@ -308,11 +322,11 @@ def _rows(
         text = f"{kind}; {about}" if kind and about else kind or about
         default = "…" if option.default is REQUIRED else _typed(option.default)
         if inner is not None and dataclasses.is_dataclass(option.default):
-            yield from _rows(options_of(inner), sentences(inner), f"{prefix}{name}.")
+            yield from _rows(options_of(inner), _sentences(inner), f"{prefix}{name}.")
             continue
         yield f"{prefix}{name}", default, text
         if inner is not None:
-            yield from _rows(options_of(inner), sentences(inner), f"{prefix}{name}.")
+            yield from _rows(options_of(inner), _sentences(inner), f"{prefix}{name}.")
 
 
 def _typed(value: Any) -> str:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from understudy.folders import read
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import read, write_atomically
 from understudy.records.runs import Run
 from understudy_motion.readers.npz import Archive
 from understudy_report.section import ReportSection

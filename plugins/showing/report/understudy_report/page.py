@@ -13,7 +13,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.records.runs import Run
 from understudy.setup.registry import Component, Registry
 from understudy_report import words

@@ -12,13 +12,12 @@ from typing import Any
 
 from understudy.errors import RunError
 from understudy.folders import read
-from understudy.records import checkpoint, runs
+from understudy.records import runs
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_credits.terms import PURPOSES, Purpose, Verdict, judge, named
 from understudy_report import words
 from understudy_report.values import mapping, sequence
-from understudy_skills.skill import open_skill
 
 __all__ = ["answer", "in_a_line", "open_made"]
 
@@ -66,6 +65,8 @@ def open_made(source: str, registry: Registry | None = None) -> Made:
 
 
 def _skill(source: str, registry: Registry) -> Made:
+    from understudy_skills.skill import open_skill  # and torch, for its weights
+
     component = registry.components.get(("skill", source))
     shipped = component.distribution if component else ""
     return Made(source, open_skill(source, registry=registry).card, None, shipped)
@@ -261,6 +262,8 @@ def _weights(
 
 def _inner(name: str, files: list[Path], registry: Registry) -> Made | None:
     """What the run has a copy of, or the skill that comes with a plugin."""
+    from understudy.records import checkpoint
+
     for file in files:
         try:
             if file.name == "run.json":

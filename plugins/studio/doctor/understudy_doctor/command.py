@@ -12,7 +12,7 @@ from pathlib import Path
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character

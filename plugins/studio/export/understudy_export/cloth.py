@@ -14,8 +14,8 @@ import trimesh
 
 from understudy import __version__
 from understudy.errors import FileError
+from understudy.folders import write_atomically
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy_characters.recording import recorded_scene
 from understudy_cloth.scene import Box, Capsule, ClothScene, Grid, Shape, Tool
 from understudy_export.figure import printable

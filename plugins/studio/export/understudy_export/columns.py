@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
 from understudy_export.command import timed

@@ -6,8 +6,8 @@ from html import escape
 from pathlib import Path
 
 from understudy.errors import FileError
+from understudy.folders import write_atomically
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy_credits.walk import in_a_line, open_made
 from understudy_report import words
 from understudy_report.motion import FIGURES, Figures

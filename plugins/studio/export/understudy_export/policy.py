@@ -33,7 +33,7 @@ from torch import Tensor, nn
 
 from understudy import __version__
 from understudy.errors import FileError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Chosen
 from understudy_characters.parts import Reference

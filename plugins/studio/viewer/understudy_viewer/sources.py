@@ -77,8 +77,10 @@ def _run(path: Path, registry: Registry, chosen: Character | None) -> Scene:
     notes = []
     for name in registry.names("overlay"):
         try:
-            overlay = registry.find("overlay", name).factory()
-            marks.extend(overlay.marks(runs.open_run(path).config, tracks, registry))
+            component = registry.find("overlay", name)
+            with component.guarded("is left out"):
+                overlay = component.made()
+                marks.extend(overlay.marks(runs.open_run(path).config, tracks, registry))
         except UnderstudyError as error:  # the motion can be seen all the same
             notes.append(str(error))
     return Scene(subjects, marks, notes)

@@ -26,7 +26,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError, RunError
-from understudy.records.checkpoint import write_atomically
+from understudy.folders import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
 from understudy_motion.fetch import cmu, deepmimic, download

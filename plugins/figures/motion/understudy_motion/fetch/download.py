@@ -32,7 +32,7 @@ from urllib.request import (
 
 from understudy import __version__
 from understudy.errors import FileError
-from understudy.records.checkpoint import sync
+from understudy.folders import sync
 from understudy_motion.limits import read_bytes
 
 PART = ".part"
