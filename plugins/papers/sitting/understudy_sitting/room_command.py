@@ -15,7 +15,7 @@ from understudy_characters.scene import CharacterScene
 from understudy_report.video import video_file, write_video
 from understudy_sitting.examples import watch
 from understudy_sitting.room import CHAIR, EXAMPLE, Room, chair_sizes
-from understudy_sitting.trials import SEATED, built_for
+from understudy_sitting.trials import SEATED, built_for, check_trials
 from understudy_skills.skill import open_skill
 
 #: Frames per second of the video.
@@ -25,13 +25,13 @@ _RATE = 30
 class SitInRoom(Command):
     """Writes a video of the controller RUN sitting down on a chair of a scene of boxes."""
 
-    example = "understudy sitting room sitting/meta"
+    example = "understudy sitting room sitting/meta room.mp4"
 
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("run", help="a finished run's folder")
+        add("run", help="a finished run's folder, or a skill")
         add("video", type=video_file, metavar="OUT", help="such as room.mp4")
         add("--scene", type=Path, default=EXAMPLE, help="a JSON of boxes and a camera")
         add("--chair", type=int, default=0, help="which of its chairs, from 0")
@@ -42,6 +42,7 @@ class SitInRoom(Command):
         yield options.video
 
     def run(self, options: argparse.Namespace) -> int:
+        check_trials(options.trials, 1)
         chairs = read_room(options.scene, CHAIR).labelled(CHAIR)
         if not 0 <= options.chair < len(chairs):
             raise FileError(f"{options.scene} has {len(chairs)} chairs, from 0.")
@@ -52,7 +53,7 @@ class SitInRoom(Command):
             "initial_states.zone=1",
         ]
         skill = open_skill(options.run, replaced(furnished, options.overrides))
-        built = built_for(skill, max(1, options.trials))
+        built = built_for(skill, options.trials)
         try:
             watched = watch(built, skill, "room")
         finally:
