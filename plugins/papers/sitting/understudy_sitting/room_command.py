@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+from hydra.core.override_parser.types import Quote, QuotedString
+
 from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.setup.composition import replaced
@@ -46,10 +48,11 @@ class SitInRoom(Command):
         chairs = read_room(options.scene, CHAIR).labelled(CHAIR)
         if not 0 <= options.chair < len(chairs):
             raise FileError(f"{options.scene} has {len(chairs)} chairs, from 0.")
+        scene = QuotedString(str(options.scene), Quote.single).with_quotes()
         sizes = chair_sizes(chairs[options.chair])
         furnished = [
             f"chair={{{','.join(f'{name}:{size}' for name, size in sizes.items())}}}",
-            f"+room={{file:'{options.scene}',chair:{options.chair}}}",
+            f"+room={{file:{scene},chair:{options.chair}}}",
             "initial_states.zone=1",
         ]
         skill = open_skill(options.run, replaced(furnished, options.overrides))
