@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 
 import pytest
 
@@ -24,6 +25,19 @@ def test_an_example_and_the_keys(name: str, capsys: pytest.CaptureFixture[str]) 
     if command.takes_overrides:
         assert "[KEY=VALUE …]" in said
         assert "seed=3" in said
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_an_example_leaves_over_sets_something(name: str) -> None:
+    """A command that takes no run had an example with one, which it refused."""
+    command, parser = (
+        installed().registry.find("command", name).factory(),
+        argparse.ArgumentParser(),
+    )
+    command.arguments(parser)
+    words = command.example.partition(f"understudy {name}")[2].rstrip(")")  # of a shell's $( … )
+    _, left = parser.parse_known_args(shlex.split(words))
+    assert [word for word in left if command.takes_overrides and "=" not in word] == []
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -104,6 +104,9 @@ def test_the_command_says_what_is_missing(capsys: pytest.CaptureFixture[str], tm
     if importlib.util.find_spec("gymnasium_robotics") is None:
         assert main(["grip", "11120", str(tmp_path / "grip.json"), "--scene", "hand/adroit"]) == 2
         assert "pip install --no-deps gymnasium-robotics" in capsys.readouterr().err
+    words = ["--scene", "hand/adroit", "--fingers", "3"]
+    assert main(["grip", "11120", str(tmp_path / "grip.json"), *words]) == 2
+    assert "--scene hand/adroit is a hand of its own: leave out" in capsys.readouterr().err
     assert not (tmp_path / "grip.json").exists()
 
 

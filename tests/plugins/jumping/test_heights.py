@@ -123,6 +123,15 @@ def test_a_run_without_a_rising_bar_is_refused(
     assert "is no run of a jump whose bar rises" in capsys.readouterr().err
 
 
+def test_a_skill_which_has_no_worlds_is_tried_from_the_target(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was refused as no run of a jump."""
+    monkeypatch.setattr(heights, "newest_state", lambda path: {"policy": {}})
+    reached, arena = heights._trained(str(run))
+    assert reached == arena.height[1] > 1.25
+
+
 @pytest.mark.parametrize(
     ("arena", "sentence"),
     [

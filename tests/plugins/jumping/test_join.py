@@ -105,3 +105,15 @@ def test_the_obstacle_is_in_the_video(
     assert len(tracks["qpos"]) == 6  # of 0.2 s, at 30 Hz
     for name, recorded in ARENA.items():
         np.testing.assert_allclose(tracks[name], np.full(6, recorded[0]))
+
+
+def test_runs_of_two_characters_are_refused_before_they_are_recorded(
+    jump: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Skills are recorded for it, which took half a minute of each and left them with a report."""
+    other = tmp_path / "other"
+    words = ["task=sitting/walk", "num_worlds=2", f"run.dir={other}"]
+    runs.create(load_experiment(words), words, {}).unlock()
+    assert main(["jumping", "join", str(other), str(jump), str(tmp_path / "whole.npz")]) == 2
+    assert f"{other} and {jump} are not of the same character" in capsys.readouterr().err
+    assert not (tmp_path / "whole.npz").exists()

@@ -42,6 +42,17 @@ def test_other_endings_are_refused(tmp_path: Path, registry: Registry) -> None:
         write_clip(walker(), tmp_path / "absent" / "walker.npz", registry)
 
 
+def test_a_runs_own_recording_is_not_replaced(tmp_path: Path, registry: Registry) -> None:
+    """`motion check RUN --fix RUN/recording.npz --overwrite` did, and nothing was made of the run any more."""
+    write_clip(walker(), tmp_path / "recording.npz", registry)
+    (tmp_path / "run.json").touch()
+    before = (tmp_path / "recording.npz").read_bytes()
+    with pytest.raises(FileError, match="that is the run's own recording"):
+        write_clip(walker(), tmp_path / "recording.npz", registry)
+    write_clip(walker(), tmp_path / "walk.npz", registry)
+    assert (tmp_path / "recording.npz").read_bytes() == before
+
+
 def test_a_failure_leaves_the_old_file(tmp_path: Path, registry: Registry) -> None:
     path = tmp_path / "walker.bvh"
     path.write_text("old")

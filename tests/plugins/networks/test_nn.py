@@ -62,6 +62,15 @@ def test_normaliser_goes_on_from_its_state() -> None:
     assert torch.equal(copy.deepcopy(other)(x), normaliser(x))
 
 
+@pytest.mark.parametrize("name", ["variance", "count"])
+def test_statistics_that_no_samples_have_are_refused(name: str) -> None:
+    """Of a variance below 0 everything observed became NaN, and the figure was judged without a word."""
+    state = dict(RunningNormaliser(3).state_dict())
+    RunningNormaliser(3).load_state_dict(state)
+    with pytest.raises(ValueError, match="variance or count is below 0"):
+        RunningNormaliser(3).load_state_dict({**state, name: state[name] - 2.0})
+
+
 def test_normaliser_horizon_lets_old_samples_fade() -> None:
     normaliser = RunningNormaliser(1, horizon=100)
     normaliser.observe(torch.zeros(100_000, 1))

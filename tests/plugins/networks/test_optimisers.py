@@ -114,6 +114,8 @@ def test_a_parameter_that_the_loss_does_not_use_has_no_gradient() -> None:
         ("exp_avg", torch.zeros(7, 5, dtype=torch.float64)),
         ("exp_avg", torch.zeros(5, 7)),
         ("exp_avg_sq", torch.full((7, 5), torch.nan)),
+        ("exp_avg_sq", torch.full((7, 5), -1.0)),
+        ("step", torch.tensor(-1.0)),
     ],
 )
 def test_moments_that_are_not_of_these_parameters_are_refused(name: str, wrong: Tensor) -> None:

@@ -322,3 +322,11 @@ def test_side_by_side_gives_what_one_after_the_other_gives() -> None:
         torch.set_num_threads(before)
     for name, value in weights[0].items():
         torch.testing.assert_close(value, weights[1][name], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["actor_rate", "kl_coefficient"])
+def test_a_state_with_a_rate_below_0_is_refused(name: str) -> None:
+    """What went on from it went uphill without a word."""
+    _, learner = make(ADAM)
+    with pytest.raises(ValueError, match=f"'{name}' is -1, below 0"):
+        learner.load_state_dict({**learner.state_dict(), name: -1.0})

@@ -10,7 +10,7 @@ import torch
 from counted_task import LINE_TASK, line_plugins
 from worlds import make_training, resumed
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, RunError
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.setup.validation import validate
@@ -178,3 +178,12 @@ def test_a_result_is_tried_at_half_the_time_step() -> None:
     simulator = training.job._evaluator(8).built.environment.parts.simulator  # type: ignore[attr-defined]
     assert simulator._substeps == 8
     assert finer.episodes == episodes
+
+
+@pytest.mark.parametrize("substeps", [0, -3, 1.5, True])
+def test_a_checkpoint_of_impossible_substeps_is_refused(substeps: object) -> None:
+    """The engine raised its own error in the middle of the first iteration."""
+    training = made(None)
+    state = training.state_dict()
+    with pytest.raises(RunError, match=f"'substeps' (cannot be {substeps}|is a number here)"):
+        training.load_state_dict({**state, "substeps": substeps})

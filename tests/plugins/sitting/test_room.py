@@ -12,12 +12,15 @@ import pytest
 from PIL import Image
 from sitting_tasks import build
 
-from understudy.errors import UnderstudyError
+from understudy.command.cli import main
+from understudy.errors import FileError, UnderstudyError
 from understudy.inputs import Inputs
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_characters.room_drawing import draw
 from understudy_characters.rooms import Box, read_room
 from understudy_characters.scene import CharacterScene
+from understudy_sitting import room_command
 from understudy_sitting.room import EXAMPLE, Room, RoomOptions, chair_sizes
 
 
@@ -78,3 +81,24 @@ def test_shadows_in_the_example_room_have_no_specks() -> None:
     grey = frame.astype(float).mean(axis=2)
     specks = grey[:, 1:-1] + 30 < np.minimum(grey[:, :-2], grey[:, 2:])
     assert int(specks.sum()) < 300
+
+
+def test_a_room_whose_name_has_an_apostrophe_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the command made of it was an override that nobody could read."""
+    scene = tmp_path / "o'brien.json"
+    scene.write_bytes(EXAMPLE.read_bytes())
+    found: list[str] = []
+
+    def noted(run: str, overrides: list[str]) -> None:
+        found.extend(overrides)
+        raise FileError("noted")
+
+    monkeypatch.setattr(room_command, "open_skill", noted)
+    words = ["sitting/meta", str(tmp_path / "room.mp4"), "--scene", str(scene)]
+    assert main(["sitting", "room", *words]) == 2
+    words = ["experiment=sitting/whole", "initial_states=sitting/around_chair", *found]
+    room = load_experiment(words).sections["room"]
+    assert isinstance(room, RoomOptions)
+    assert room.file == str(scene)

@@ -11,6 +11,7 @@ import pytest
 import torch
 from sitting_tasks import build
 
+from understudy.command.cli import main
 from understudy.records.runs import Run
 from understudy_sitting.clips import generated_step_back, generated_whole
 from understudy_sitting.kinematics import minimum_distances
@@ -44,6 +45,22 @@ def test_success_is_three_seconds_of_sitting_and_contact_stands_beside_it(tmp_pa
     assert "0.75" in page  # three of four changes from walk on the right
     assert "&lt;sit&gt;" in page
     assert TransitionsSection().html(Run(tmp_path / "nothing", {"config": {}})) is None
+
+
+@pytest.mark.parametrize(
+    "words", [["trials", "sitting/meta"], ["kinematics"], ["room", "sitting/meta", "room.mp4"]]
+)
+@pytest.mark.parametrize("trials", ["0", "1000000000000"])
+def test_trials_that_cannot_be_are_refused(
+    words: list[str],
+    trials: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["sitting", *words, "--trials", trials]) == 2
+    assert f"--trials={trials} is not possible" in capsys.readouterr().err
 
 
 def test_stepping_back_goes_back() -> None:

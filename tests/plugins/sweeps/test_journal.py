@@ -86,6 +86,20 @@ def test_reports_of_what_was_not_asked_for_are_left_out(
     assert Journal.open(path).events == [Trial("a"), Report("a", "ok"), Trial("c")]
 
 
+def test_what_follows_a_trials_last_report_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two results, as of two journals one after the other, the second was taken without a word."""
+    path = tmp_path / "journal.jsonl"
+    journal = Journal.open(path)
+    journal.ask(Trial("a"))
+    late = Report("a", "ok", 2.0), Report("a", "running")
+    for report in (Report("a", "ok", 1.0), *late):
+        journal.tell(report)
+    assert Journal.open(path).events == [Trial("a"), Report("a", "ok", 1.0)]
+    assert "2 rows are damaged" in capsys.readouterr().err
+
+
 def test_a_journal_that_has_not_moved_is_not_written(tmp_path: Path) -> None:
     measures = {"f": math.nan}
     events = Report("a", "ok", math.nan, measures, run="there/a"), Report("b", "failed"), ASKED

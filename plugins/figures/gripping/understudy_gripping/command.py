@@ -90,9 +90,10 @@ class FindGrip(Command):
             given = {name: value for name, value in given.items() if value is not None}
             chosen = replace(_of_scene(options.scene), tool=options.tool, **given)
         except ValueError as error:
-            raise ConfigError(
-                f"--{str(error).replace('finger_length', 'finger-length')}"
-            ) from error
+            said = str(error).replace("finger_length", "finger-length")
+            if said.startswith("robot "):  # which is what --scene names
+                said = f"scene {options.scene}{said.removeprefix('robot')}"
+            raise ConfigError(f"--{said}") from error
         style = read_style(options.style, chosen.fingers, options.tool)
         touching = sum(map(bool, style))
         places = [p / 1e3 for p in options.places or []] or own.first_guess(style)

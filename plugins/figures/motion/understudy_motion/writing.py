@@ -83,8 +83,12 @@ def writer_of(path: Path, registry: Registry) -> ClipWriter:
     Raises
     ------
     FileError
-        there is none.
+        there is none, or a run's own recording is there.
     """
+    if path.name == "recording.npz" and (path.parent / "run.json").exists():
+        raise FileError(
+            f"Clip {path}: that is the run's own recording, which has more than a clip. Name another file."
+        )
     writers: list[ClipWriter] = [*every(registry, "clip_writer", ClipWriter).values()]
     writer = next((w for w in writers if w.suffix == path.suffix.lower()), None)
     if writer is None:

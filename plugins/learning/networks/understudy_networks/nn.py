@@ -167,6 +167,8 @@ class RunningNormaliser(nn.Module):
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         super()._load_from_state_dict(*args, **kwargs)
+        if not all(bool((value >= 0).all()) for value in (self.variance, self.count)):
+            raise ValueError("a normaliser's variance or count is below 0, which no samples have")
         self._prepare()
 
     @torch.no_grad()

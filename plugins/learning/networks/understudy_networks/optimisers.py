@@ -138,7 +138,9 @@ def load_state(optimiser: Optimizer, state: State) -> None:
     for i, p in enumerate(parameters if state else ()):
         for name in names:
             value, shape = state[str(i)][name], () if name == "step" else p.shape
-            if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():
+            least = -torch.inf if name in ("exp_avg", "momentum_buffer") else 0.0
+            sound = value.isfinite() & (value >= least)
+            if value.shape != shape or value.dtype != torch.float32 or not sound.all():
                 raise ValueError(f"'{name}' of parameter {i} is not one of this optimiser")
         optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}
 

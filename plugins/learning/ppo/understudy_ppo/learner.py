@@ -336,6 +336,9 @@ class PPO(Learner):
         }
 
     def load_state_dict(self, state: State) -> None:
+        for name in ("actor_rate", "kl_coefficient"):
+            if state[name] < 0:
+                raise ValueError(f"'{name}' is {state[name]:g}, below 0")
         optimisers.load_state(self._actor_optimiser, state["actor"])
         optimisers.load_state(self._critic_optimiser, state["critic"])
         self._rate, self._coefficient = state["actor_rate"], state["kl_coefficient"]

@@ -107,6 +107,8 @@ class Reinforcement(Job):
         """Go on from the same state at so many physics steps a control period."""
         if substeps == self.resolution.substeps:
             return
+        if type(substeps) is not int or substeps < 1:
+            raise ValueError(f"'substeps' cannot be {substeps}")
         assert self.built is not None
         state, sections = self.environment.state_dict(), dict(self.built.context.sections)
         self.environment.close()

@@ -83,7 +83,10 @@ class Skill:
                 )
             if not bool(given.isfinite().all()):
                 raise RunError(f"{self.name} is damaged: {name} is not finite.")
-        policy.load_state_dict({**own, **self.policy})
+        try:
+            policy.load_state_dict({**own, **self.policy})
+        except ValueError as error:
+            raise RunError(f"{self.name} is damaged: {error}.") from error
         policy.schedule(self.samples)
 
     def whole(self) -> dict[str, Tensor]:

@@ -95,7 +95,9 @@ def _trained(path: str) -> tuple[float, ArenaOptions]:
     """m: the obstacle that the training of the run came to; and its arena."""
     # it may be judged in another simulator than it learned in
     arena = unsimulated(runs.open_run(path)).sections.get("arena")
-    reached = at(newest_state(path), "environment.curriculum.difficulty")
+    state = newest_state(path)
+    # a skill has no worlds: it is tried from the target on
+    reached = at(state, "environment.curriculum.difficulty") if "environment" in state else 1.0
     # curricula of several groups have a difficulty for each
     levels = reached if isinstance(reached, list) else [reached]
     if (

@@ -58,6 +58,9 @@ class Join(Command):
         yield options.destination
 
     def run(self, options: argparse.Namespace) -> int:
+        of = [run_character(run_folder(run)) for run in (options.run_up, options.jump)]
+        if of[0].joint_names != of[1].joint_names:  # before what takes half a minute of each
+            raise FileError(f"{options.run_up} and {options.jump} are not of the same character.")
         options.run_up = run_folder(options.run_up, recorded=True)
         options.jump = run_folder(options.jump, recorded=True)
         first, _ = recorded_clips(options.run_up)

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy_characters.scene import reference_motion
+from understudy_sitting.trials import check_trials
 from understudy_tensors import rotations
 
 _FRAMES = 400  #: of the clip that are looked at
@@ -27,7 +27,7 @@ _ZONE = ("experiment=sitting/whole", "initial_states=sitting/around_chair", "ini
 class Kinematics(Command):
     """Prints how near the pelvis comes to the seat when the clip is simply played."""
 
-    example = "understudy sitting kinematics sitting/meta"
+    example = "understudy sitting kinematics --trials 1000"
 
     takes_overrides = True
 
@@ -35,8 +35,7 @@ class Kinematics(Command):
         parser.add_argument("--trials", type=int, default=10_000, help="how many")
 
     def run(self, options: argparse.Namespace) -> int:
-        if options.trials < 2:
-            raise ConfigError(f"--trials={options.trials} is not possible: at least two.")
+        check_trials(options.trials, 2)
         experiment = load_experiment([*_ZONE, *options.overrides])
         built = build_environment(experiment, num_worlds=options.trials, evaluating=True)
         built.environment.reset(experiment.root.seed, "trials")

@@ -44,6 +44,20 @@ FILE = "trials.json"
 #: Fields of a task in which one sits down.
 _READ = ("zone", "side", "seated_seconds", "contact_seconds", "seat_distance", "switch")
 SIDES = ("right", "left")
+#: Trials at most; they are simulated at once.
+_MOST = 1_000_000
+
+
+def check_trials(trials: int, least: int) -> None:
+    """Refuse so many trials where they are fewer than `least`, or more than are simulated at once.
+
+    Raises
+    ------
+    ConfigError
+        if they are.
+    """
+    if not least <= trials <= _MOST:
+        raise ConfigError(f"--trials={trials} is not possible: give {least} to {_MOST}.")
 
 
 class Trials(Command):
@@ -62,8 +76,7 @@ class Trials(Command):
         )  # fmt: skip
 
     def run(self, options: argparse.Namespace) -> int:
-        if options.trials < 1:
-            raise ConfigError(f"--trials={options.trials} is not possible: at least one.")
+        check_trials(options.trials, 1)
         run = runs.open_run(options.run) if Path(options.run).is_dir() else None
         if options.film and run is None:
             raise ConfigError(

@@ -49,14 +49,18 @@ class Journal:
 
     def _forget_strangers(self) -> list[bytes]:
         """Leave out what follows from no row that is left, of which a loop could make nothing: reports of trials that were
-        not asked for before, and second requests for one; their rows."""
-        known, kept, rows = set[str](), list[Trial | Report](), list[bytes]()
+        not asked for before or are finished, and second requests for one; their rows."""
+        known, finished = set[str](), set[str]()
+        kept, rows = list[Trial | Report](), list[bytes]()
         for event in self.events:
-            if isinstance(event, Trial) is (event.key in known):
+            if isinstance(event, Trial) is (event.key in known) or event.key in finished:
                 rows.append(_row(event).encode())
-            else:
-                kept.append(event)
-            known |= {event.key} if isinstance(event, Trial) else set()
+                continue
+            kept.append(event)
+            if isinstance(event, Trial):
+                known.add(event.key)
+            elif event.final:
+                finished.add(event.key)
         self.events = kept
         return rows
 
