@@ -29,8 +29,17 @@ def told(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def kills(process: Any, seconds: float) -> bool:
-    """SIGKILL the process after some seconds, unless it has ended; whether it was killed."""
+def done(folder: Path) -> int:
+    """Iterations of all trials so far."""
+    return sum(len(path.read_bytes().splitlines()) for path in folder.glob("*/metrics.jsonl"))
+
+
+def kills(process: Any, folder: Path, more: int, seconds: float) -> bool:
+    """SIGKILL the process some `seconds` after so many `more` iterations, unless it has ended; whether it was killed."""
+    until, deadline = done(folder) + more, time.monotonic() + 120
+    while process.is_alive() and done(folder) < until:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
     process.join(seconds)
     if not process.is_alive():
         assert process.exitcode == 0
@@ -56,15 +65,15 @@ def check_kills(
     """Each kill is a SIGKILL of a real sweep; one worker, since with several the order in which
     trials end, and with it what a search asks for, is up to the machine."""
     straight, killed = folder / "straight", folder / "killed"
-    began = time.monotonic()
     assert main(["sweep", *search, f"run.dir={straight}"]) == 0
-    share = (time.monotonic() - began) / count  # so that it is still running at the last kill
+    share = done(straight) // (count + 1)  # so that it is still running at the last kill
     command = ["sweep", *search, f"executor={executor}", f"run.dir={killed}"]
     if executor == "processes":
         command += ["executor.workers=1", "executor.threads=1"]
     moments = random.Random(count)
     for _ in range(count):
-        seconds = 0.5 + moments.uniform(0.0, share)
-        assert kills(begin(*command), seconds), "it ended before it was killed"
+        more, seconds = moments.randint(0, share), moments.uniform(0.0, 0.1)
+        assert kills(begin(*command), killed, more, seconds), "it ended before it was killed"
+    assert done(killed) > 0, "it was killed before it began"
     assert main(command) == 0
     check_as_never_killed(killed, straight, trials)

@@ -97,8 +97,7 @@ def calls(parts: Parts, action: Tensor) -> Iterator[Call]:
     """Each part that is a pure function; `action` (N, A)."""
     for provider in parts.fields:
         yield provider.where, provider.reads, provider.part.compute
-    acts = parts.actuation
-    yield acts.where, acts.reads, functools.partial(acts.part.control, action)
+    yield (acts := parts.actuation).where, acts.reads, functools.partial(acts.part.control, action)
     for encoder in parts.encoders.values():
         yield encoder.where, encoder.reads, encoder.part.encode
     for term in (*parts.rewards, *parts.terminations, *parts.measures):
@@ -107,15 +106,18 @@ def calls(parts: Parts, action: Tensor) -> Iterator[Call]:
 
 @torch.no_grad()
 def name_misfit(parts: Parts, table: FieldTable, action: Tensor) -> None:
-    """Raise ConfigError for a part that cannot use what its ``reads`` gives it, or what it raises."""
+    """Raise ConfigError for a part that cannot use what its ``reads`` gives it, else what it raises."""
     for where, reads, call in calls(parts, action):
-        given = table.pick(reads)
+        given: dict[str, Tensor] = {}
         try:
+            given |= table.pick(reads)
             call(**given)
         except MISFITS as error:
             other = {own: field for own, field in reads.items() if own != field}
+            if reads and not given:
+                continue  # what it reads comes of another, which is named itself
             shapes = [f"{field} {list(given[own].shape[1:])}" for own, field in other.items()]
-            if not other:
+            if not other or isinstance(error, torch.OutOfMemoryError):
                 raise  # it reads what it asks for, so it is the part that is at fault
             raise ConfigError(
                 f"{where} cannot use what its reads gives it: {', '.join(shapes)}. Name fields of the "
@@ -129,14 +131,12 @@ def check_shapes(parts: Parts, table: FieldTable, action: Tensor) -> None:
     for provider in parts.fields:
         given = provider.part.compute(**table.pick(provider.reads))
         returned(n, provider.where, provider.part.provides, given, "the field ")
-    actuation = parts.actuation
-    control = actuation.part.control(action, **table.pick(actuation.reads))
+    control = parts.actuation.part.control(action, **table.pick(parts.actuation.reads))
     check(n, "the control of actuation", control, (parts.simulator.control_size,))
     for encoder in parts.encoders.values():
         value = encoder.part.encode(**table.pick(encoder.reads))
         check(n, encoder.where, value, encoder.part.shape)
-        names = encoder.part.columns
-        if names and (len(names),) != encoder.part.shape:
+        if (names := encoder.part.columns) and (len(names),) != encoder.part.shape:
             raise ConfigError(
                 f"{encoder.where} names {len(names)} columns; its shape is {encoder.part.shape}."
             )

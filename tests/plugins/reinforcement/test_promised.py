@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -115,3 +116,23 @@ def test_it_begins_as_a_reset_does() -> None:
         step = environment.step(torch.full_like(environment.action, 0.3))
         seen.append(torch.cat([first, step.observations["state"], step.rewards[:, None]], dim=1))
     assert torch.equal(*seen)
+
+
+def test_the_part_that_misfits_is_named_and_not_one_that_reads_of_it() -> None:
+    environment = go("fields.offset.reads={target: episode_time}")
+    early = SimpleNamespace(compute=lambda far: {}, provides={})
+    reader = SimpleNamespace(where="fields.early", reads={"far": "distance"}, part=early)
+    environment.parts.fields = [reader, *environment.parts.fields]  # type: ignore[list-item]
+    with pytest.raises(ConfigError, match=r"fields\.offset cannot use what its reads gives it"):
+        environment.reset()
+
+
+def test_too_little_memory_is_no_misfit() -> None:
+    def large(distance: Tensor) -> Tensor:
+        raise torch.OutOfMemoryError("out of memory")
+
+    environment = with_reward(large)
+    first, *others = environment.parts.rewards
+    environment.parts.rewards = [replace(first, reads={"distance": "episode_time"}), *others]
+    with pytest.raises(torch.OutOfMemoryError):
+        environment.reset()

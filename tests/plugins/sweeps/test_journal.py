@@ -96,6 +96,7 @@ def test_what_follows_a_trials_last_report_is_left_out(
     late = Report("a", "ok", 2.0), Report("a", "running")
     for report in (Report("a", "ok", 1.0), *late):
         journal.tell(report)
+    assert Journal.read(path).finished == {"a": Report("a", "ok", 1.0)}, "as of a card"
     assert Journal.open(path).events == [Trial("a"), Report("a", "ok", 1.0)]
     assert "2 rows are damaged" in capsys.readouterr().err
 

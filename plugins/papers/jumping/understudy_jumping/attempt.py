@@ -40,7 +40,7 @@ class Attempt(Memory):
     With ``landing: feet`` a landing on anything else fails, but is told how near it came (section 4.6.1 has r_safety engineered for a
     landing on feet):
 
-    - ``came_down`` () 1 once it has landed so, or lies on the mat
+    - ``came_down`` () 1 once it has landed so, or lies on the mat: by its trunk, or by four links
     - ``on_feet`` () the share of the feet that touched the mat before anything else did
     - ``feet_first`` (2,) 1 of a foot that did; ``others_first`` () 1 once anything else has touched it
     """
@@ -147,8 +147,8 @@ class Attempt(Memory):
     def _on_feet(
         self, kept: Mapping[str, Tensor], mat: Tensor, lies: Tensor, well: Tensor
     ) -> dict[str, Tensor]:
-        """Of the links `mat` (N, G) bool that touch the mat: which feet have, before anything else did. It may lie there, `lies`, and
-        have come there `well`, (N,) bool."""
+        """What of a landing on feet is kept. `mat` (N, G) bool: the links that touch the mat; `lies` (N,) bool: it lies there; `well`
+        (N,) bool: it came over without a fault."""
         others = (kept["others_first"] != 0) | (mat & ~self._feet.any(dim=0)).any(dim=1)
         touch = (mat[:, None] & self._feet).any(dim=2)
         first = (kept["feet_first"] != 0) | (touch & ~others[:, None])

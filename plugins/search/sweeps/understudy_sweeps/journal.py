@@ -105,8 +105,12 @@ class Journal:
 
     @property
     def finished(self) -> dict[str, Report]:
-        """The final reports, by trial."""
-        return {e.key: e for e in self.events if isinstance(e, Report) and e.final}
+        """The final reports, by trial; of two of one trial the first, as a sweep that goes on takes it."""
+        found: dict[str, Report] = {}
+        for event in self.events:
+            if isinstance(event, Report) and event.final:
+                found.setdefault(event.key, event)
+        return found
 
     def move(self, folder: str) -> None:
         """Take `folder` as that of the sweep, to which its runs may have been copied from elsewhere: every trial's run is

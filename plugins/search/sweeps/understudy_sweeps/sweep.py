@@ -273,8 +273,9 @@ def _check(
             raise ConfigError(f"{what} cannot be run: {error}") from error
         devices.add(experiment.root.device)
         raw = {k: v for k, v in experiment.effective().items() if k not in ("run", "seed")}
-        first = alike.setdefault(json.dumps(raw, sort_keys=True, default=str), trial.variant)
-        if first != trial.variant and not later:
+        words = json.dumps(raw, sort_keys=True, default=str)
+        first = trial.variant if later else alike.setdefault(words, trial.variant)
+        if first != trial.variant:
             tell(
                 f"Variants '{first}' and '{trial.variant}' are one: their configurations differ in nothing."
             )
