@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import stat
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from understudy.errors import RunError
+from understudy.signals import StopRequest
+from understudy_report import video
 from understudy_report.video import write_video
 
 
@@ -124,3 +130,21 @@ def test_many_messages_do_not_stop_the_encoder(
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(script))
     with pytest.raises(RunError, match="ffmpeg says 'last words'"):
         write_video(tmp_path / "video.mp4", frames(12, (480, 640)), 30)
+
+
+def test_a_stop_as_the_encoder_begins_leaves_neither_it_nor_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin, begun = subprocess.Popen, list[Any]()
+
+    def stopped(*arguments: Any, **more: Any) -> Any:
+        begun.append(begin(*arguments, **more))
+        os.kill(os.getpid(), signal.SIGTERM)
+        return begun[-1]
+
+    monkeypatch.setattr(video.subprocess, "Popen", stopped)
+    with pytest.raises(KeyboardInterrupt), StopRequest(at_once=True) as request:
+        write_video(tmp_path / "video.mp4", frames(), 30.0)
+    assert request.received == signal.SIGTERM
+    assert begun[0].returncode is not None, "the encoder goes on"
+    assert not list(tmp_path.iterdir())

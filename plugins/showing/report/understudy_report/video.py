@@ -15,6 +15,7 @@ from threading import Thread
 import numpy as np
 
 from understudy.errors import RunError
+from understudy.signals import StopRequest
 
 __all__ = ["LONGEST", "length", "video_file", "write_video"]
 
@@ -79,17 +80,15 @@ def _encode(
     command += ["-c:v", "libx264", "-preset", "veryfast"]
     command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
     command += [f"file:{path}"]  # else what stands before a colon would be a protocol
-    try:
-        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
-    except OSError as error:
-        return f"ffmpeg cannot be started ({error.strerror})"
-    assert encoder.stdin is not None
-    assert encoder.stderr is not None
-    # Messages are read while frames are written, or it would wait; into no file, for which there may be no place.
     messages: list[bytes] = []
-    listener = Thread(target=messages.extend, args=(encoder.stderr,), daemon=True)
-    listener.start()
+    encoder = listener = None
     try:
+        with StopRequest():  # which would leave an encoder that has just begun to itself
+            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+            # Messages are read while frames are written, or it would wait; into no file, for which there may be no place.
+            listener = Thread(target=messages.extend, args=(encoder.stderr,), daemon=True)
+            listener.start()
+        assert encoder.stdin is not None
         for frame in frames:
             if frame.shape != shape or frame.dtype != np.uint8:
                 raise ValueError(f"a frame is {frame.dtype} {frame.shape}, not uint8 {shape}")
@@ -97,15 +96,14 @@ def _encode(
                 encoder.stdin.write(np.ascontiguousarray(frame).data)
             except BrokenPipeError:
                 break
-    except BaseException:
-        encoder.kill()
+    except BaseException as error:
+        if encoder is not None:
+            encoder.kill()
+        elif isinstance(error, OSError):
+            return f"ffmpeg cannot be started ({error.strerror})"
         raise
     finally:
-        with suppress(BrokenPipeError):  # it has given up; its messages say why
-            encoder.stdin.close()
-        status = encoder.wait()
-        listener.join()
-        encoder.stderr.close()
+        status = -1 if encoder is None else _ended(encoder, listener)
     text = b"".join(messages).decode(errors="replace")
     if status == 0:
         return None
@@ -113,6 +111,19 @@ def _encode(
         return "the disk is full"
     lines = text.strip().splitlines()
     return f"ffmpeg says '{lines[-1].strip(' .')}'" if lines else f"ffmpeg ended with {status}"
+
+
+def _ended(encoder: subprocess.Popen[bytes], listener: Thread | None) -> int:
+    """Close what goes to and comes from an encoder, and wait for its end; its exit status."""
+    assert encoder.stdin is not None
+    assert encoder.stderr is not None
+    with suppress(BrokenPipeError):  # it has given up; its messages say why
+        encoder.stdin.close()
+    status = encoder.wait()
+    if listener is not None:
+        listener.join()
+    encoder.stderr.close()
+    return status
 
 
 def _move(temporary: Path, path: Path) -> str | None:
