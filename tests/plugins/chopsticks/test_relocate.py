@@ -297,6 +297,29 @@ def test_relocations_follow_one_another(plugins: Plugins) -> None:
     assert (frames[count:, 17] == 1).all()
 
 
+def test_the_sticks_go_elsewhere_between_two_relocations(plugins: Plugins) -> None:
+    """Before each but the first they go away from the object, which lies still, and come back to it; without it they stay there."""
+    farthest = {}
+    for elsewhere in (False, True):
+        words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=3", "initial_states.relocations=2", f"initial_states.elsewhere={elsewhere}"]  # fmt: skip
+        made = build_environment(load_experiment(words, plugins))
+        _, bank = parts(made)
+        made.environment.close()
+        away = []
+        for row in range(3):
+            frames = bank.frames[row, : int(bank.lengths[row]) + 1]
+            assert frames[:, :7].diff(dim=0).abs().max() < 0.15, "no jump of the arm"
+            second = frames[frames[:, 16] == 1]
+            before = second[: int(second[:, 15].nonzero()[0])]
+            assert (before[:, 8:15] == before[0, 8:15]).all(), "the object lies still"
+            torch.testing.assert_close(bank.goals[row, 0], before[0, 8:11])
+            palms = arm.forward(before[:, :7].double())[0]
+            away.append(float((palms - palms[-1]).norm(dim=1).max()))
+        farthest[elsewhere] = away
+    assert max(farthest[False]) < 0.04
+    assert min(farthest[True]) > 0.04
+
+
 def test_a_noisy_plan_takes_beside_the_object(plugins: Plugins) -> None:
     """By the same error all along; the object's own plan and the sticks' first frame are as without."""
     banks = []
@@ -752,6 +775,7 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.below={kind: sphere, sizes: [0.01]}"], "Nothing stays upon a sphere"),
         (["scene.above={kind: box, sizes: [0.01, 0.01, 0.01]}"], "Nothing lies upon a sphere"),
         (["initial_states.thrown=true", "initial_states.relocations=2"], "lands out of reach"),
+        (["initial_states.elsewhere=true"], "not possible with relocations=1"),
         (["initial_states.thrown=true", "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"], "takes one object alone"),
         (["scene.object.rolling=-1"], "rolling=-1"),
         (["memory.again.most=-1"], "most=-1"),

@@ -104,6 +104,18 @@ class Plan:
         """From which the next plan goes on."""
         return Moment(self.lower[-1], self.angle[-1], self.arm[-1])
 
+    def approach(self, thing: Tensor) -> Plan:
+        """Its approach alone, while an object rests at the pose `thing` (7,)."""
+        count = int((self.phase == PHASES.index("approach")).sum())
+        parts = (self.lower[:count], self.angle[:count], self.arm[:count])
+        return Plan(*parts, thing.expand(count, 7), self.phase[:count], self.clearance)
+
+    def after(self, way: Plan) -> Plan:
+        """This plan with `way` before it, from where that ends."""
+        names = ("lower", "angle", "arm", "object", "phase")
+        parts = (torch.cat([getattr(way, name), getattr(self, name)]) for name in names)
+        return Plan(*parts, min(way.clearance, self.clearance))
+
 
 class Planner:
     """Plans for one hand and grip. Deterministic.

@@ -85,7 +85,7 @@ class Bank:
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
         self._relocations, self._noise, self._spare = 1, 0.0, 0
-        self._thrown = False
+        self._thrown = self._elsewhere = False
         #: m: between which the tool is held further along its lower part.
         self._shift = (0.0, 0.0)
         #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
@@ -104,17 +104,19 @@ class Bank:
         settled: bool = False,
         shift: tuple[float, float] = (0.0, 0.0),
         pressing: float = PRESSING,
+        elsewhere: bool = False,
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
         take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`). `settled`, of a
         tool that is where it comes to rest in the hand; each held by a `shift` m further along, drawn evenly; the
-        closed tool rests for `pressing` s before it lifts."""
+        closed tool rests for `pressing` s before it lifts; with `elsewhere` it goes away before each relocation but the first."""
         if len(self.frames):
             return
         self._shift, made = shift, self._made
         at = made.lower[0].double().cpu() if settled or self.shifted else None
         self._planner = Planner(made.grips[0], made.scene, at, pressing)
         self._relocations, self._noise, self._thrown = relocations, noise, thrown
+        self._elsewhere = elsewhere
         longest = relocations * seconds + (relocations - 1) * RESTING
         self._room = round(longest / DT) + 1
         self.frames = torch.zeros(count, self._room, _FRAME, device=self._device)
@@ -388,8 +390,7 @@ class Bank:
                 apart = shape.reach + by.reach + APART
                 if math.dist(start, goal) < apart:
                     continue
-            most = 0.25 if shape.kind == "capsule" else 0.5
-            heading = most * float(torch.rand((), generator=stream)) * np.pi
+            heading = _heading(shape, stream)
             error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
             now = planner.start()
             if before is not None:
@@ -399,13 +400,31 @@ class Bank:
             try:
                 task = table.task(0, goal, self._upon)
                 task = replace(task, above=self._above, thrown=self._thrown)
+                way = None
+                if self._elsewhere and before is not None:
+                    way = self._to_another(planner, shape, before, stream)
+                    now = way.end
                 plan = planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
                 continue
+            if way is not None:
+                plan = plan.after(way)
             if len(plan.angle) <= room:
                 return plan
         raise ConfigError(f"None of {_TRIES} tasks drawn in a row has a plan: {why}")
+
+    def _to_another(
+        self, planner: Planner, shape: objects.Shape, before: Plan, stream: torch.Generator
+    ) -> Plan:
+        """From where the plan `before` ends to where the tool would take another object like this one, elsewhere on the table."""
+        lies = before.object[-1]
+        at = (float(lies[0]), float(lies[1]))
+        headings = (_heading(shape, stream), float(rotations.heading(lies[3:])))
+        table = Table((shape, shape), ((9.0, 9.0), at), headings)
+        table = table.moved(0, random_goal(table, 0, stream))
+        task = table.task(0, random_goal(table, 0, stream))
+        return planner.plan(task, before.end, table.without(0)).approach(lies)
 
     def at(self, row: Tensor, frame: Tensor) -> Tensor:
         """(N, …, _FRAME) of the plans `row` (N,) at the frames `frame` (N, …), the last one after their end;
@@ -434,6 +453,12 @@ class Bank:
             name = objects.KINDS[int(kind)]
             self.give(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
         self._drawn = int(state["drawn"])
+
+
+def _heading(shape: objects.Shape, stream: torch.Generator) -> float:
+    """rad: how an object is turned where it lies, drawn from a stream."""
+    most = 0.25 if shape.kind == "capsule" else 0.5
+    return most * float(torch.rand((), generator=stream)) * np.pi
 
 
 def bank_of(context: Context, who: str) -> tuple[Gripping, Bank]:

@@ -53,6 +53,9 @@ class Relocations(InitialStates):
         shift: tuple[float, float] = (0.0, 0.0)
         #: s that the closed tool rests before it lifts (the release has 0.05); a box is held firmly only after some 0.3
         pressing: float = PRESSING
+        #: whether the tool goes to where another object might lie before it comes for each relocation but the first, as with
+        #: several objects on the table (section 5.7.5): `longest` has to have room for it
+        elsewhere: bool = False
         #: how much more often plans are drawn that go badly: with exp(-harder r), r the mean reward of a decision that follows one
         #: (the release has 1); 0 draws evenly
         harder: float = 0.0
@@ -66,6 +69,10 @@ class Relocations(InitialStates):
             if self.thrown and self.relocations > 1:
                 raise ValueError(
                     f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
+                )
+            if self.elsewhere and self.relocations == 1:
+                raise ValueError(
+                    "elsewhere=true is not possible with relocations=1: it is between two. Set relocations=4, or leave elsewhere out."
                 )
             check_range(self, "pressing", least=0, most=1.0)
             least = round(2 * (LEAST + CLOSING) + self.pressing + ASIDE, 6)
@@ -95,11 +102,16 @@ class Relocations(InitialStates):
             raise ConfigError(
                 "initial_states.thrown=true takes one object alone. Leave out scene.below and scene.above."
             )
+        if options.elsewhere and made.scene.options.above is not None:
+            raise ConfigError(
+                "initial_states.elsewhere=true is not possible with scene.above: what lies upon the object would be in the way. "
+                "Set one of them alone."
+            )
         # A GPU captures the step in which episodes begin, so its bank has to be whole before.
         self._later = context.evaluating and context.device.type == "cpu"
         self.bank.fill(
             options.plans, options.longest, options.relocations, options.noise, self._later,
-            options.thrown, options.settled, options.shift, options.pressing,
+            options.thrown, options.settled, options.shift, options.pressing, options.elsewhere,
         )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
