@@ -7,18 +7,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
+import torch
 from scipy.ndimage import gaussian_filter1d
 
 from understudy_cloth.scene import Box, Capsule, ClothModel, TaperedCapsule
 from understudy_mujoco.drawing import open_renderer
+from understudy_tensors import rotations
 
 _BODY, _CLOTH = (0.85, 0.62, 0.45, 1.0), (0.35, 0.55, 0.78, 1.0)
 _FLOOR, _SQUARES = (0.90, 0.90, 0.89), (0.80, 0.82, 0.84)
 #: Pieces of a tapered capsule, which MuJoCo has not: capsules whose radii follow it.
 _PIECES = 12
 #: Times its own size: what moves about within that is seen from where it is seen whole; else the camera follows it,
-#: over so many frames smoothed, from so many times as far, since bodies reach beyond their origins.
-_STAYS, _SMOOTHING, _AROUND = 2.0, 6.0, 1.3
+#: over so many frames smoothed.
+_STAYS, _SMOOTHING = 2.0, 6.0
 
 
 def _spec(model: ClothModel, width: int, height: int, floor: float | None = None) -> mujoco.MjSpec:
@@ -85,6 +87,20 @@ def _path(seen: Sequence[np.ndarray], frames: int) -> tuple[np.ndarray, float]:
     return smooth, float(np.linalg.norm(high - low, axis=1).max())
 
 
+def _corners(compiled: mujoco.MjModel, tracks: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Between which the tools' geoms are in each of T frames: corners of boxes around them, (2 T G, 3) m."""
+    geoms = np.flatnonzero(compiled.geom_bodyid > 0)
+    tool = compiled.body_mocapid[compiled.geom_bodyid[geoms]]
+    frames = len(tracks["tool_position"])
+    turn = tracks["tool_orientation"].reshape(frames, -1, 4)[:, tool]
+    turned = rotations.rotate(
+        torch.as_tensor(turn).double(), torch.tensor(compiled.geom_pos[geoms])
+    ).numpy()
+    at = tracks["tool_position"].reshape(frames, -1, 3)[:, tool] + turned
+    reach = compiled.geom_rbound[geoms, None]
+    return np.concatenate([at - reach, at + reach], axis=1).reshape(-1, 3)
+
+
 def draw(
     model: ClothModel,
     tracks: Mapping[str, np.ndarray],
@@ -106,16 +122,15 @@ def draw(
     compiled = _spec(model, width, height, floor).compile()
     data = mujoco.MjData(compiled)
     seen = [cloth.reshape(-1, 3)]
-    if model.tools and "tool_position" in tracks:
-        seen.append(tracks["tool_position"].reshape(-1, 3))
-    points = np.concatenate(seen)
-    low, high = np.quantile(points, (0.01, 0.99), axis=0)
+    low, high = np.quantile(seen[0], (0.01, 0.99), axis=0)
+    moved = bool(model.tools) and {"tool_position", "tool_orientation"} <= tracks.keys()
+    if moved and len(tools := _corners(compiled, tracks)):
+        seen.append(tools)
+        low, high = np.minimum(low, tools.min(axis=0)), np.maximum(high, tools.max(axis=0))
     middle, size = _path(seen, len(cloth))
     room = float(np.linalg.norm(high - low))
     if room < _STAYS * size:
         middle[:], size = 0.5 * (low + high), room
-    else:
-        size *= _AROUND
     compiled.stat.extent, compiled.stat.center[:] = size, 0.5 * (low + high)
     camera = mujoco.MjvCamera()
     camera.distance, camera.elevation = 1.3 * size, -15.0
@@ -125,7 +140,7 @@ def draw(
     option.flags[mujoco.mjtVisFlag.mjVIS_FLEXSKIN] = True
     try:
         for frame, here in enumerate(cloth):
-            if model.tools and "tool_position" in tracks and "tool_orientation" in tracks:
+            if moved:
                 data.mocap_pos[:] = tracks["tool_position"][frame].reshape(-1, 3)
                 data.mocap_quat[:] = tracks["tool_orientation"][frame].reshape(-1, 4)
             mujoco.mj_kinematics(compiled, data)
