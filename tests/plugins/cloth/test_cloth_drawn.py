@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sheets import sheet
 
 from understudy.errors import UnderstudyError
 from understudy_cloth.drawing import draw
 from understudy_cloth.scene import Capsule, ClothModel, Tool
-
-from sheets import sheet
 
 
 @pytest.mark.parametrize("moves", [False, True])
@@ -18,7 +17,7 @@ def test_a_body_that_reaches_far_from_its_origin_is_seen_whole(moves: bool) -> N
     points, faces = sheet(9, 9)
     post = Tool((Capsule(0.08, 0.5, (0.0, 0.0, 0.58)),))
     frames = np.linspace(0.0, 9.0 if moves else 0.0, 60)
-    cloth = np.stack([points + (x, 0.0, 0.0) for x in frames])
+    cloth = np.stack([points + np.array([x, 0.0, 0.0]) for x in frames])
     at = np.stack([(x, -0.3, 0.0) for x in frames])
     tracks = {
         "cloth_position": cloth,

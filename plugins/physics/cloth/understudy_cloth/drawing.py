@@ -80,11 +80,11 @@ def _spec(model: ClothModel, width: int, height: int, floor: float | None = None
 
 
 def _path(seen: Sequence[np.ndarray], frames: int) -> tuple[np.ndarray, float]:
-    """Where in each of the frames the middle of everything is, smoothed, (T, 3) m, and how large it is at most, m."""
+    """Where in each of the frames the middle of everything is, smoothed, (T, 3) m, and how large a ball around it has all, m across."""
     points = np.concatenate([them.reshape(frames, -1, 3) for them in seen], axis=1)
     low, high = points.min(axis=1), points.max(axis=1)
     smooth = gaussian_filter1d(0.5 * (low + high), _SMOOTHING, axis=0, mode="nearest")
-    return smooth, float(np.linalg.norm(high - low, axis=1).max())
+    return smooth, 2.0 * float(np.linalg.norm(points - smooth[:, None], axis=2).max())
 
 
 def _corners(compiled: mujoco.MjModel, tracks: Mapping[str, np.ndarray]) -> np.ndarray:
