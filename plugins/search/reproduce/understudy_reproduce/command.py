@@ -36,13 +36,15 @@ class Reproduce(Command):
             "--seeds", type=_numbers, default=(), metavar="0,1", help="in place of the table's"
         )
         parser.add_argument(
-            "--card", action="store_true", help="train nothing: the card of what is there"
+            "--card",
+            action="store_true",
+            help="train nothing: write card.md of what was trained, in the folder of the table",
         )
         parser.add_argument(
             "--records",
             type=Path,
             metavar="FOLDER",
-            help="of the list: trainings that were run elsewhere (docs/benchmarks, as of a clone)",
+            help="with the list: where trainings that were run elsewhere are recorded (docs/benchmarks of a clone)",
         )
 
     def run(self, options: argparse.Namespace) -> int:
