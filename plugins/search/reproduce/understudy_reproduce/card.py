@@ -85,9 +85,10 @@ class Cell:
         return from_below(found, better, self.missed(figure), other.missed(figure))
 
     @property
-    def minutes(self) -> float:
-        """Of training, over all seeds and resumes."""
-        return sum(r.figure(SECONDS) or 0.0 for r in self.results) / 60
+    def minutes(self) -> float | None:
+        """Of training, over all seeds and resumes; None where it is not known of any, as of a journal alone."""
+        known = [seconds for r in self.results if (seconds := r.figure(SECONDS)) is not None]
+        return sum(known) / 60 if known else None
 
 
 class Card:
@@ -124,14 +125,15 @@ class Card:
         trials = [r for cell in self.cells.values() for r in cell.results]
         asked = len(self.table.variants()) * len(self.table.seeds)
         done = sum(r.report is not None for r in trials)
-        minutes = sum(cell.minutes for cell in self.cells.values())
-        if done == 0:
-            return f"0 of {asked} trainings are finished."
-        where = ", ".join(sorted({_device(r) for r in trials if r.report})) or "no machine yet"
-        return (
-            f"{done} of {asked} trainings are finished, in {minutes:.1f} minutes of training on {where} "
-            "(building and evaluating not counted)."
-        )
+        text = f"{done} of {asked} trainings are finished"
+        here = [r for r in trials if r.report and r.path.is_dir()]
+        if here:
+            minutes = sum(r.figure(SECONDS) or 0.0 for r in here) / 60
+            where = ", ".join(sorted({_device(r) for r in here}))
+            text += f", in {minutes:.1f} minutes of training on {where} (building and evaluating not counted)"
+        if gone := done - len(here):
+            text += f"; the run folders of {gone} are not here, so minutes and machine of these are not known"
+        return f"{text}."
 
     def state(self) -> str:
         """How much of the table is finished: ``done``, ``partly``, ``in small``, where all of it falls short of what
@@ -190,7 +192,7 @@ class Card:
         for figure in self.table.figures:
             yield _title(figure), self._of(figure, figure is self.table.figures[0])
         rows = [
-            [row, *(f"{self.cells[row, column].minutes:.1f}" for column in self.table.columns)]
+            [row, *(_minutes(self.cells[row, column].minutes) for column in self.table.columns)]
             for row in self.table.rows
         ]
         yield "Minutes of training, all seeds", Table(["", *self.table.columns], rows)
@@ -263,13 +265,17 @@ class Card:
                 found = (mean.value, mean.low, mean.high, mean.count) if mean else ("", "", "", 0)
                 lines.append(
                     [row, column, figure.of, "" if printed is None else printed, *found,
-                     len(cell.results), round(cell.minutes, 3)]
+                     len(cell.results), "" if cell.minutes is None else round(cell.minutes, 3)]
                 )  # fmt: skip
         return as_csv(lines)
 
 
 def _title(figure: Figure) -> str:
     return figure.title or figure.of.replace("_", " ")
+
+
+def _minutes(value: float | None) -> str:
+    return _NOTHING if value is None else f"{value:.1f}"
 
 
 def _claimed(one: Printed) -> str:
