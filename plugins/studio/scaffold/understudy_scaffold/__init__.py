@@ -7,9 +7,6 @@ REQUIRES: tuple[str, ...] = ()
 PARTS = {
     "command": {
         "new plugin": ("new:NewPlugin", "write a package with rewards, an observation, or both"),
-        "new paper": (
-            "new:NewPaper",
-            "write a package for a paper: parts, experiment, page, table",
-        ),
+        "new paper": ("new:NewPaper", "write a package for a paper, with page and table"),
     },
 }
