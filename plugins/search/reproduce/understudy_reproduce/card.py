@@ -60,8 +60,8 @@ class Cell:
         parts = []
         values = self.values(figure.of)
         if values:
-            kind = SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
-            parts.append(f"{shown_mean(mean_of(values), kind, counted=True)} ({len(values)})")
+            mean = shown_mean(mean_of(values), _kind(figure), counted=True)
+            parts.append(f"{mean} ({len(values)})")
         missed = [r for r in done if figure.of == SAMPLES and r.state != "criterion"]
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)
@@ -174,13 +174,17 @@ class Card:
                     ours = f"{one.of.replace('_', ' ')} {ours}"
                 ours += f" ({cell.less})" if cell.less else ""
                 name = row if len(self.table.columns) == 1 else f"{row}, {column}"
-                yield name, _claimed(one), ours, self.verdict(row, column)
+                yield name, _claimed(one, figure), ours, self.verdict(row, column)
 
     def _figure(self, one: Printed) -> Figure:
         """The one that is compared: what it names, else the table's first, of searches the best value."""
         named = {figure.of: figure for figure in self.table.figures}
         first = Figure(OBJECTIVE) if self.table.searches else self.table.figures[0]
         return named.get(one.of, Figure(one.of)) if one.of else first
+
+    def what(self) -> str:
+        """What the numbers of `compared` are where a line names nothing else, in words."""
+        return "Best value" if self.table.searches else _title(self.table.figures[0])
 
     def compared(self) -> Iterator[str]:
         """A line for each cell that the paper or we have."""
@@ -210,7 +214,9 @@ class Card:
         for row in self.table.rows:
             cells = [row]
             for column, of_paper, judged in columns:
-                cells += [_printed(self.table.printed(row, column).says)] if of_paper else []
+                cells += (
+                    [_printed(self.table.printed(row, column).says, figure)] if of_paper else []
+                )
                 cells.append(self.cells[row, column].text(figure))
                 cells += [self.verdict(row, column) or _NOTHING] if judged else []
             rows.append(cells)
@@ -278,19 +284,29 @@ def _minutes(value: float | None) -> str:
     return _NOTHING if value is None else f"{value:.1f}"
 
 
-def _claimed(one: Printed) -> str:
+def _kind(figure: Figure) -> str:
+    """What its numbers are shown as."""
+    return SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
+
+
+def _claimed(one: Printed, figure: Figure) -> str:
     """What the paper says; and where that is no number, what is told of ours."""
     beside = {"less than": one.less, "more than": one.more}
     told = [
-        f"{way} {words.text(than)}" for way, than in beside.items() if than not in (None, one.says)
+        f"{way} {_printed(than, figure)}"
+        for way, than in beside.items()
+        if than not in (None, one.says)
     ]
-    return _printed(one.says) + (f" ({told[0]})" if told else "")
+    return _printed(one.says, figure) + (f" ({told[0]})" if told else "")
 
 
-def _printed(number: Any) -> str:
-    if number is None:
+def _printed(said: Any, figure: Figure) -> str:
+    """What a paper prints of the figure: a number as ours are, or words."""
+    if said is None:
         return _NOTHING
-    return words.short(number) if isinstance(number, int | float) else str(number)
+    return (
+        shown_mean(mean_of([said]), _kind(figure)) if isinstance(said, int | float) else str(said)
+    )
 
 
 def _device(result: Result) -> str:
