@@ -138,6 +138,17 @@ def test_a_list_says_what_its_numbers_are(tmp_path: Path) -> None:
     assert means not in "".join(listed("walk", replace(TABLE, paper={}), tmp_path))
 
 
+def test_another_figure_is_named_in_words_with_its_unit(tmp_path: Path) -> None:
+    journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1.1e6, 1.2e6)})
+    table = replace(
+        TABLE,
+        figures=(Figure("success_rate"), Figure("samples", title="Samples to the criterion, all")),
+        paper={"walk": {"full": {"says": "few", "of": "samples"}}},
+    )
+    shown = next(ours for _, _, ours, _ in card(tmp_path, table).verdicts())
+    assert shown.startswith("samples to the criterion, all: 1.1M [")
+
+
 def test_shares_of_a_paper_are_shown_as_ours_are(tmp_path: Path) -> None:
     table = replace(
         TABLE,

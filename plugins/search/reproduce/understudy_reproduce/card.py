@@ -171,7 +171,8 @@ class Card:
                 figure = self._figure(one)
                 ours = cell.text(figure)
                 if one.of and ours != _NOTHING:
-                    ours = f"{one.of.replace('_', ' ')} {ours}"
+                    named = _title(figure)
+                    ours = f"{named[:1].lower()}{named[1:]}: {ours}"
                 ours += f" ({cell.less})" if cell.less else ""
                 name = row if len(self.table.columns) == 1 else f"{row}, {column}"
                 yield name, _claimed(one, figure), ours, self.verdict(row, column)
