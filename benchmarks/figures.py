@@ -423,12 +423,17 @@ def tables_of_papers() -> str:
 
 
 def rows_of_papers() -> str:
-    """A line for each cell that a paper has a number or words of, and there is a record of."""
+    """A line for each cell that a paper has a number or words of, and there is a record of.
+
+    The first of each table says what the numbers are.
+    """
     lines = [["table", "row", "paper", "here (seeds)", "verdict"]]
     for name, _, card in reproductions():
+        table = f"`{name}`: {card.what()}"
         for row, printed, ours, said in card.verdicts():
             if ours != "–":
-                lines.append([f"`{name}`", row, printed, ours, f"*{said}*" if said else "–"])
+                lines.append([table, row, printed, ours, f"*{said}*" if said else "–"])
+                table = f"`{name}`"
     return _markdown(lines)
 
 

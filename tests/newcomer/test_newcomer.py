@@ -114,7 +114,7 @@ def test_a_skill_can_be_watched_before_anything_is_trained(understudy: Path) -> 
 
 def test_the_demo_leaves_a_page_that_says_what_a_success_is(demo: Path) -> None:
     page = (demo / "report.html").read_text(encoding="utf-8")
-    assert "An episode succeeds if its within_all_bounds (1 in all bounds" in page
+    assert "succeeds if the least within_all_bounds of the episode (1 in all bounds" in page
     evaluation = json.loads((demo / "evaluation.json").read_text())
     assert evaluation["success"] == "within_all_bounds at least 1"
 

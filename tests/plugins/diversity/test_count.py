@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from understudy.command.cli import main
+from understudy_diversity.count import Count
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 from understudy_tensors import rotations
@@ -75,3 +76,11 @@ def test_what_cannot_be_counted_is_one_sentence(
     assert sentence in capsys.readouterr().err
     assert main(["diversity", "count", str(tmp_path), "--by", "1", "angle"]) == 2
     assert "is no folder of a search" in capsys.readouterr().err
+
+
+def test_its_example_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of searches whose trials measured an angle."""
+    (tmp_path / "runs").mkdir()
+    searched(tmp_path / "runs" / "vault", [0.5, 2.0])
+    monkeypatch.chdir(tmp_path)
+    assert main(Count.example.split()[1:]) == 0

@@ -184,8 +184,16 @@ def test_says_what_a_measure_means_that_decides_success(tmp_path: Path) -> None:
     run.write_json("evaluation.json", evaluation)
     page, _ = report(run)
     assert (
-        "An episode succeeds if its within_all_bounds (1 in all bounds, no fall, "
-        "the least of the episode counts) is at least 1." in page.text
+        "An episode succeeds if the least within_all_bounds of the episode (1 in all bounds, no fall) is at least 1."
+        in page.text
+    )
+    run.info["config"]["measure"] = {
+        "seated": {"name": "value", "reads": {"value": "seated_seconds"}, "reduce": "max"}
+    }
+    run.write_json("evaluation.json", evaluation | {"success": "seated at least 3"})
+    assert (
+        "An episode succeeds if the greatest seated of the episode (the field seated_seconds) is at least 3."
+        in report(run)[0].text
     )
 
 

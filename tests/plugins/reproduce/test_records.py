@@ -129,6 +129,41 @@ def test_cells_that_were_trained_otherwise_are_not_compared(tmp_path: Path) -> N
     assert "(a tenth of the samples)" in next(card(tmp_path).compared())
 
 
+def test_a_list_says_what_its_numbers_are(tmp_path: Path) -> None:
+    table = replace(TABLE, figures=(Figure("speed", title="Speed, m/s"), Figure("height")))
+    means = "ours are means over seeds [95 % interval] (seeds)"
+    assert listed("walk", table, tmp_path)[2] == f"Speed, m/s: {means}"
+    searches = replace(TABLE, searches=True)
+    assert listed("walk", searches, tmp_path)[2] == f"Best value: {means}"
+    assert means not in "".join(listed("walk", replace(TABLE, paper={}), tmp_path))
+
+
+def test_another_figure_is_named_in_words_with_its_unit(tmp_path: Path) -> None:
+    journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1.1e6, 1.2e6)})
+    table = replace(
+        TABLE,
+        figures=(Figure("success_rate"), Figure("samples", title="Samples to the criterion, all")),
+        paper={"walk": {"full": {"says": "few", "of": "samples"}}},
+    )
+    shown = next(ours for _, _, ours, _ in card(tmp_path, table).verdicts())
+    assert shown.startswith("samples to the criterion, all: 1.1M [")
+
+
+def test_shares_of_a_paper_are_shown_as_ours_are(tmp_path: Path) -> None:
+    table = replace(
+        TABLE,
+        figures=(Figure("solved", share=True), Figure("speed")),
+        paper={
+            "walk": {"full": 0.316, "without": {"says": "fails", "less": 0.5}},
+            "run": {"full": {"says": 0.316, "of": "speed"}},
+        },
+    )
+    found = [printed for _, printed, *_ in card(tmp_path, table).verdicts()]
+    assert found == ["31.6 %", "fails (less than 50 %)", "0.316"]
+    (_, shares), *_ = card(tmp_path, table).tables()
+    assert shares.rows[0][1] == "31.6 %"
+
+
 def test_what_was_begun_here_goes_before_the_record(tmp_path: Path) -> None:
     journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1e6, 1e6)})
     (tmp_path / "here").mkdir()

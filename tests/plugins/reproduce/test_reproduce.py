@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -109,6 +110,16 @@ def test_one_command_runs_the_table_and_leaves_its_card(
     assert reproduce("mine/one", f"run.dir={folder}", "--card") == 0
     assert (folder / "card.csv").read_text() == before
     assert "card: " in capsys.readouterr().out
+    journal = tmp_path / "journal alone"
+    journal.mkdir()
+    shutil.copy(folder / "journal.jsonl", journal)
+    assert reproduce("mine/one", f"run.dir='{journal}'", "--card") == 0
+    alone, whole = rows_of(journal), rows_of(folder)
+    assert alone["calm", "small", "distance"]["mean"] == whole["calm", "small", "distance"]["mean"]
+    assert alone["calm", "small", "distance"]["minutes"] == ""
+    text = (journal / "card.md").read_text()
+    assert "finished; the run folders of 6 are not here, so minutes and machine" in text
+    assert "0.0" not in text.partition("## Minutes of training")[2].partition("Ours are")[0]
 
 
 def result(samples: float, outcome: str = "criterion", status: str = "ok", seed: int = 0) -> Result:

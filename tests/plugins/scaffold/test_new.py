@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,6 +15,7 @@ import pytest
 from commands import forked
 
 from understudy.command.cli import main
+from understudy.setup.plugins import installed
 from understudy_scaffold import new
 from understudy_scaffold.new import next_steps
 
@@ -99,6 +102,13 @@ def test_a_new_paper_passes_at_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         f.read_text() for f in written.rglob("*") if f.suffix in (".py", ".md", ".yaml", ".toml")
     ]
     assert not [text for text in texts if "$name" in text or "NAME" in text or ">>>" in text]
+    commands = re.findall(r"understudy (train|reproduce|new|describe) ([^`\n]+)", "\n".join(texts))
+    assert ("reproduce", "thrown/table") in commands
+    for name, words in commands:  # those of the pages as well as those that are printed
+        parser = argparse.ArgumentParser()
+        installed().registry.find("command", name).factory().arguments(parser)
+        _, left = parser.parse_known_args(shlex.split(words))
+        assert [word for word in left if "=" not in word] == [], words
 
 
 @pytest.mark.parametrize(

@@ -50,10 +50,12 @@ class FindGrip(Command):
             "--tries", type=int, default=0, metavar="N",
             help="draw N places about these and keep the grip that slips least in 10 s (default: these alone)",
         )  # fmt: skip
-        parser.add_argument("--seed", type=int, default=0, help="of what is drawn (default: 0)")
+        parser.add_argument(
+            "--seed", type=int, default=0, help="of the N draws of --tries (default: 0)"
+        )
         parser.add_argument(
             "--force", type=float, default=FORCE, metavar="N",
-            help=f"of a contact, that targets press with (default: {FORCE:g}); sticks creep faster by more",
+            help=f"with which each finger presses on the tool, N (default: {FORCE:g}); the more, the faster sticks creep",
         )  # fmt: skip
         parser.add_argument(
             "--finger-clearance", type=float, metavar="MM",
@@ -66,9 +68,20 @@ class FindGrip(Command):
             "--scene", default="hand", metavar="NAME",
             help="whose hand it is, such as hand/adroit (default: hand, the human one)",
         )  # fmt: skip
-        parser.add_argument("--fingers", type=int, help="of the hand (default: 5)")
-        parser.add_argument("--finger-length", type=float, help="default: 1")
-        parser.add_argument("--size", type=float, help="of the hand (default: 1)")
+        parser.add_argument(
+            "--fingers",
+            type=int,
+            metavar="N",
+            help="how many the hand has, with the thumb (default: 5)",
+        )
+        parser.add_argument(
+            "--finger-length", type=float, metavar="TIMES",
+            help="how many times as long the fingers are as the hand's own (default: 1)",
+        )  # fmt: skip
+        parser.add_argument(
+            "--size", type=float, metavar="TIMES",
+            help="how many times as large the whole hand is (default: 1)",
+        )  # fmt: skip
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.file

@@ -10,6 +10,7 @@ import json
 import math
 import re
 import shutil
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -47,6 +48,16 @@ _FORMS = {
     "camera": "DEGREES",
     "checkpoint": "ITERATION|last|best|SHARE",
     "half_step": "false",
+}
+#: What it does.
+_MEANINGS = {
+    "episodes": "how many are judged, in place of the run's own number",
+    "seconds": "how long each lasts at most, or the video",
+    "size": "of the video, pixels",
+    "camera": "turned about the vertical: 0 from behind, 90 from the right, 180 from ahead",
+    "checkpoint": "which one: the newest (last), that of the best evaluation, of an iteration, or after a SHARE of the "
+    "training (0.5); without it the newest",
+    "half_step": "leaves out the second judging, at half the time step of physics",
 }
 #: Keys that say where a run is judged, not what of it.
 _WHERE = ("device", "num_worlds", "simulator.threads")
@@ -100,6 +111,11 @@ def _declare(parser: argparse.ArgumentParser, *words: str) -> None:
     forms = " ".join(f"[{word}={_FORMS[word]}]" for word in words)
     parser.usage = f"{parser.prog} RUN {forms} [KEY=VALUE …]"
     parser.add_argument("run", help="run folder, or a skill")
+    lines = [
+        textwrap.fill(f"{word}={_FORMS[word]}  {_MEANINGS[word]}", 80, subsequent_indent="  ")
+        for word in words
+    ]
+    parser.description = "\n".join(["words that may follow RUN:", *lines])
 
 
 def _without_half_step(words: Sequence[str]) -> tuple[list[str], bool]:

@@ -22,6 +22,6 @@ class Faults:
         meta = {"config": run.config, "versions": versions(), "samples": samples}
         try:
             checkpoint.save(path, state, meta)
-            self._tell(f"Numbers left the finite; what led to it is in {path}.json.")
+            self._tell(f"A number is not finite any more; what led to it is in {path}.json.")
         except RunError as error:  # the training can go on without it
-            self._tell(f"Numbers left the finite, and {error}")
+            self._tell(f"A number is not finite any more, and {error}")

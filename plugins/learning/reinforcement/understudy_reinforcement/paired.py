@@ -84,8 +84,8 @@ class Paired:
                 "" if self.starts < FEWEST else f" beyond chance (p = {self.chance:.2g})"
             )
         if self.of == "success" and self.starts >= FEWEST:
-            return f"{text}, no loss that shows: it would from {FEWEST} lost starts on"
-        return f"{text}, no loss that shows"
+            return f"{text}, no loss is shown; {FEWEST} lost starts would show one"
+        return f"{text}, no loss is shown"
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)

@@ -52,7 +52,7 @@ PARTS = {
     },
     "measure": {
         "amorphous/gathered_share": ("gathering:gathered_share", "how much is near the goal"),
-        "amorphous/share_distance": ("gathering:share_distance", "how far most is from it"),
+        "amorphous/share_distance": ("gathering:share_distance", "how far from it 95 % reach"),
         "amorphous/flipped": ("flipping:flipped", "turned over, and caught"),
     },
     "memory": {

@@ -23,7 +23,7 @@ PARTS = {
         "deepmimic/horizon": ("horizon:Horizon", "T(z) is over"),
     },
     "measure": {
-        "deepmimic/normalised_return": ("horizon:NormalisedReturn", "the episode's return by T(z)"),
+        "deepmimic/normalised_return": ("horizon:NormalisedReturn", "the return over T(z)"),
     },
 }
 

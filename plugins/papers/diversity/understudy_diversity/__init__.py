@@ -9,7 +9,7 @@ PARTS = {
         "diversity/bayesian": ("search:DiversitySearch", "Bayesian diversity search"),
         "diversity/random": ("search:RandomDiversity", "strategies at points drawn uniformly"),
         "diversity/map_elites": ("map_elites:MapElites", "MAP-Elites, through pyribs"),
-        "diversity/novel_policies": ("novel_policies:NovelPolicies", "other ways of strategies"),
+        "diversity/novel_policies": ("novel_policies:NovelPolicies", "novelty, from a search"),
     },
     "reward": {
         "diversity/novelty": ("novelty:Novelty", "unlike the strategies known"),

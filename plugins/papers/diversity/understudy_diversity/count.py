@@ -30,20 +30,27 @@ class Count(Command):
     """Counts the different strategies of searches from their journals, by any measures and distances, and
     gives the mean over searches with its 95 % interval (Student's t): the counts of several seeds."""
 
-    example = "understudy diversity count runs/vault"
+    example = "understudy diversity count runs/vault --by 0.35 angle"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("folder", nargs="+", help="folder of a search")
         for name, what in (
-            ("by", "measures whose values are as far apart in different strategies"),
-            ("by-rotation", "an angle in rad, and the measures of a rotation's x axis and z axis"),
+            ("by", "strategies differ where these measures are DISTINCT apart or more"),
+            (
+                "by-rotation",
+                "the same of a rotation: DISTINCT in rad, and the six measures of its x axis and z axis",
+            ),
         ):
             parser.add_argument(
                 f"--{name}", nargs="+", action="append", default=[],
                 metavar=("DISTINCT", "MEASURE"), help=what,
             )  # fmt: skip
         parser.add_argument(
-            "--success", type=float, default=0.5, help="share of attempts (default: 0.5)"
+            "--success",
+            type=float,
+            default=0.5,
+            metavar="SHARE",
+            help="of attempts with which a trial counts (default: 0.5)",
         )
 
     def run(self, options: argparse.Namespace) -> int:

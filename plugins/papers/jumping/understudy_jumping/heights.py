@@ -43,14 +43,14 @@ class Heights(Command):
             type=share,
             default=0.5,
             metavar="SHARE",
-            help="of attempts (default: %(default)s)",
+            help="of attempts that must clear it (default: %(default)s)",
         )
         parser.add_argument(
             "--step",
             type=positive,
             default=0.05,
             metavar="METRES",
-            help="lower or narrower (default: %(default)s)",
+            help="by how much lower the next bar, or narrower the next box, is (default: %(default)s)",
         )
         parser.add_argument(
             "--from",

@@ -63,7 +63,7 @@ PARTS = {
         "sitting/planted": ("manner:planted", "feet stay where they stand"),
         "sitting/unhurried": ("manner:unhurried", "the pelvis does not fall"),
         "sitting/servos": ("manner:Servos", "servo targets are the clip's own"),
-        "sitting/spent": ("manner:spent", "minus what a sum such as ways slid grew by"),
+        "sitting/spent": ("manner:spent", "minus the growth of a sum, such as how far feet slid"),
     },
     "measure": {
         "sitting/pose": ("terms:pose", "joint angles are the reference's, eq. 3"),

@@ -60,8 +60,8 @@ class Cell:
         parts = []
         values = self.values(figure.of)
         if values:
-            kind = SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
-            parts.append(f"{shown_mean(mean_of(values), kind, counted=True)} ({len(values)})")
+            mean = shown_mean(mean_of(values), _kind(figure), counted=True)
+            parts.append(f"{mean} ({len(values)})")
         missed = [r for r in done if figure.of == SAMPLES and r.state != "criterion"]
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)
@@ -85,9 +85,10 @@ class Cell:
         return from_below(found, better, self.missed(figure), other.missed(figure))
 
     @property
-    def minutes(self) -> float:
-        """Of training, over all seeds and resumes."""
-        return sum(r.figure(SECONDS) or 0.0 for r in self.results) / 60
+    def minutes(self) -> float | None:
+        """Of training, over all seeds and resumes; None where it is not known of any, as of a journal alone."""
+        known = [seconds for r in self.results if (seconds := r.figure(SECONDS)) is not None]
+        return sum(known) / 60 if known else None
 
 
 class Card:
@@ -124,14 +125,15 @@ class Card:
         trials = [r for cell in self.cells.values() for r in cell.results]
         asked = len(self.table.variants()) * len(self.table.seeds)
         done = sum(r.report is not None for r in trials)
-        minutes = sum(cell.minutes for cell in self.cells.values())
-        if done == 0:
-            return f"0 of {asked} trainings are finished."
-        where = ", ".join(sorted({_device(r) for r in trials if r.report})) or "no machine yet"
-        return (
-            f"{done} of {asked} trainings are finished, in {minutes:.1f} minutes of training on {where} "
-            "(building and evaluating not counted)."
-        )
+        text = f"{done} of {asked} trainings are finished"
+        here = [r for r in trials if r.report and r.path.is_dir()]
+        if here:
+            minutes = sum(r.figure(SECONDS) or 0.0 for r in here) / 60
+            where = ", ".join(sorted({_device(r) for r in here}))
+            text += f", in {minutes:.1f} minutes of training on {where} (building and evaluating not counted)"
+        if gone := done - len(here):
+            text += f"; the run folders of {gone} are not here, so minutes and machine of these are not known"
+        return f"{text}."
 
     def state(self) -> str:
         """How much of the table is finished: ``done``, ``partly``, ``in small``, where all of it falls short of what
@@ -169,16 +171,21 @@ class Card:
                 figure = self._figure(one)
                 ours = cell.text(figure)
                 if one.of and ours != _NOTHING:
-                    ours = f"{one.of.replace('_', ' ')} {ours}"
+                    named = _title(figure)
+                    ours = f"{named[:1].lower()}{named[1:]}: {ours}"
                 ours += f" ({cell.less})" if cell.less else ""
                 name = row if len(self.table.columns) == 1 else f"{row}, {column}"
-                yield name, _claimed(one), ours, self.verdict(row, column)
+                yield name, _claimed(one, figure), ours, self.verdict(row, column)
 
     def _figure(self, one: Printed) -> Figure:
         """The one that is compared: what it names, else the table's first, of searches the best value."""
         named = {figure.of: figure for figure in self.table.figures}
         first = Figure(OBJECTIVE) if self.table.searches else self.table.figures[0]
         return named.get(one.of, Figure(one.of)) if one.of else first
+
+    def what(self) -> str:
+        """What the numbers of `compared` are where a line names nothing else, in words."""
+        return "Best value" if self.table.searches else _title(self.table.figures[0])
 
     def compared(self) -> Iterator[str]:
         """A line for each cell that the paper or we have."""
@@ -190,7 +197,7 @@ class Card:
         for figure in self.table.figures:
             yield _title(figure), self._of(figure, figure is self.table.figures[0])
         rows = [
-            [row, *(f"{self.cells[row, column].minutes:.1f}" for column in self.table.columns)]
+            [row, *(_minutes(self.cells[row, column].minutes) for column in self.table.columns)]
             for row in self.table.rows
         ]
         yield "Minutes of training, all seeds", Table(["", *self.table.columns], rows)
@@ -208,7 +215,9 @@ class Card:
         for row in self.table.rows:
             cells = [row]
             for column, of_paper, judged in columns:
-                cells += [_printed(self.table.printed(row, column).says)] if of_paper else []
+                cells += (
+                    [_printed(self.table.printed(row, column).says, figure)] if of_paper else []
+                )
                 cells.append(self.cells[row, column].text(figure))
                 cells += [self.verdict(row, column) or _NOTHING] if judged else []
             rows.append(cells)
@@ -263,7 +272,7 @@ class Card:
                 found = (mean.value, mean.low, mean.high, mean.count) if mean else ("", "", "", 0)
                 lines.append(
                     [row, column, figure.of, "" if printed is None else printed, *found,
-                     len(cell.results), round(cell.minutes, 3)]
+                     len(cell.results), "" if cell.minutes is None else round(cell.minutes, 3)]
                 )  # fmt: skip
         return as_csv(lines)
 
@@ -272,19 +281,33 @@ def _title(figure: Figure) -> str:
     return figure.title or figure.of.replace("_", " ")
 
 
-def _claimed(one: Printed) -> str:
+def _minutes(value: float | None) -> str:
+    return _NOTHING if value is None else f"{value:.1f}"
+
+
+def _kind(figure: Figure) -> str:
+    """What its numbers are shown as."""
+    return SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
+
+
+def _claimed(one: Printed, figure: Figure) -> str:
     """What the paper says; and where that is no number, what is told of ours."""
     beside = {"less than": one.less, "more than": one.more}
     told = [
-        f"{way} {words.text(than)}" for way, than in beside.items() if than not in (None, one.says)
+        f"{way} {_printed(than, figure)}"
+        for way, than in beside.items()
+        if than not in (None, one.says)
     ]
-    return _printed(one.says) + (f" ({told[0]})" if told else "")
+    return _printed(one.says, figure) + (f" ({told[0]})" if told else "")
 
 
-def _printed(number: Any) -> str:
-    if number is None:
+def _printed(said: Any, figure: Figure) -> str:
+    """What a paper prints of the figure: a number as ours are, or words."""
+    if said is None:
         return _NOTHING
-    return words.short(number) if isinstance(number, int | float) else str(number)
+    return (
+        shown_mean(mean_of([said]), _kind(figure)) if isinstance(said, int | float) else str(said)
+    )
 
 
 def _device(result: Result) -> str:

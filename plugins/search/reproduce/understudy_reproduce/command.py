@@ -36,13 +36,15 @@ class Reproduce(Command):
             "--seeds", type=_numbers, default=(), metavar="0,1", help="in place of the table's"
         )
         parser.add_argument(
-            "--card", action="store_true", help="train nothing: the card of what is there"
+            "--card",
+            action="store_true",
+            help="train nothing: write card.md of what was trained, in the folder of the table",
         )
         parser.add_argument(
             "--records",
             type=Path,
             metavar="FOLDER",
-            help="of the list: trainings that were run elsewhere (docs/benchmarks, as of a clone)",
+            help="with the list: where trainings that were run elsewhere are recorded (docs/benchmarks of a clone)",
         )
 
     def run(self, options: argparse.Namespace) -> int:
@@ -140,7 +142,10 @@ def records_of(given: Path | None) -> Path:
 def listed(name: str, table: PaperTable, records: Path) -> list[str]:
     """The table in lines: what it is, what of it was run, here or on `records`, what came out, and what it takes."""
     card = Card(name, table, folder_of(name), records)
-    lines = [f"{name}: {table.title} ({table.source})", card.state(), *card.compared()]
+    lines = [f"{name}: {table.title} ({table.source})", card.state()]
+    compared = list(card.compared())
+    means = f"{card.what()}: ours are means over seeds [95 % interval] (seeds)"
+    lines += [means, *compared] if compared else []
     lines += [f"made by: {table.command}"] if table.command else []
     lines += [f"takes: {table.cost}"] if table.cost else []
     lines += [f"needs first: {table.needs}"] if table.needs else []

@@ -59,8 +59,14 @@ class Completion(Command):
     example = "source <(understudy completion bash)"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("shell", choices=[*_SCRIPTS, "words"], help="or, for these, the words")
-        parser.add_argument("line", nargs="?", default="", help="(words) the line up to the cursor")
+        parser.add_argument(
+            "shell",
+            choices=[*_SCRIPTS, "words"],
+            help="whose script is printed; `words` is what such scripts call",
+        )
+        parser.add_argument(
+            "line", nargs="?", default="", help="of `words`: the line up to the cursor"
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         if options.shell == "words":

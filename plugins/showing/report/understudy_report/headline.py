@@ -43,11 +43,10 @@ def _meaning(info: Row, evaluation: Row, registry: Registry) -> str:
     name = next((name for name in measures if text.startswith(f"{name} ")), None)
     if name is not None:
         measure = mapping(measures[name])
-        about = _summary(words.text(measure.get("name", "")), registry)
-        over = _OVER.get(words.text(measure.get("reduce", "")), "")
-        details = ", ".join(part for part in (about, over) if part)
-        text = text.replace(name, f"{name} ({details}) is" if details else f"{name} is", 1)
-        return f"An episode succeeds if its {text}.{_cut(evaluation)}"
+        about = _about(measure, registry)
+        over = _OVER.get(words.text(measure.get("reduce", "")), "{}").format(name)
+        text = text.replace(name, f"{over} ({about}) is" if about else f"{over} is", 1)
+        return f"An episode succeeds if {text}.{_cut(evaluation)}"
     left = {
         term: share
         for term, value in mapping(evaluation.get("violated")).items()
@@ -83,18 +82,21 @@ def _unsound(evaluation: Row) -> str:
 
 #: How the values of an episode become one.
 _OVER = {
-    "min": "the least of the episode counts",
-    "max": "the most of the episode counts",
-    "any": "any moment of the episode counts",
-    "last": "the end of the episode counts",
-    "sum": "summed over the episode",
-    "mean": "its mean over the episode counts",
+    "min": "the least {} of the episode",
+    "max": "the greatest {} of the episode",
+    "any": "{} at any moment of the episode",
+    "last": "{} at the end of the episode",
+    "sum": "the sum of {} over the episode",
+    "mean": "the mean {} of the episode",
 }
 
 
-def _summary(measure: str, registry: Registry) -> str:
-    """What the measure's component says of itself, if it is installed."""
-    component = registry.components.get(("measure", measure))
+def _about(measure: Row, registry: Registry) -> str:
+    """What the measure's component says of itself, if it is installed; of one that is a field as it is, which one."""
+    component = registry.components.get(("measure", words.text(measure.get("name", ""))))
+    reads = mapping(measure.get("reads"))
+    if component is not None and list(reads) == [component.name]:
+        return f"the field {words.text(reads[component.name])}"
     return component.summary if component is not None else ""
 
 

@@ -43,7 +43,7 @@ def text(examined: Examination) -> str:
     for joint, spans in contacts(examined).items():
         lines.append(f"contact: {joint} {', '.join(f'{a:.2f}–{b:.2f}' for a, b in spans)} s")
     if examined.gone is not None:
-        lines.append(f"let go: {let_go_words(examined.gone)}")
+        lines.append(f"let go in the clip's own state: {let_go_words(examined.gone)}")
     lines += [f"not checked: {what}" for what in examined.skipped]
     return "\n".join([*lines, verdict(examined.findings)])
 
@@ -72,7 +72,9 @@ def as_json(examined: Examination) -> Row:
 
 def let_go_words(gone: LettingGo) -> str:
     """What becomes of bodies that are let go in the clip's states, in a line."""
-    share = f"{100 * gone.share:.1f} % of {len(gone.times)} starts land outside of the bounds"
+    share = (
+        f"{100 * gone.share:.1f} % of {len(gone.times)} starts land outside of the spacetime bounds"
+    )
     if not gone.bad.any():
         return share
     tenths = ", ".join(f"{100 * part:.0f}" for part in gone.by_phase(PARTS))

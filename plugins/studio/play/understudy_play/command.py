@@ -64,7 +64,7 @@ class Play(Command):
         parser.add_argument(
             "--video", metavar="FILE", type=video_file, help="write a video (.mp4) instead"
         )
-        parser.add_argument("--seconds", type=length, help=f"of the video ({_SECONDS:g})")
+        parser.add_argument("--seconds", type=length, help=f"length of the video ({_SECONDS:g})")
         parser.add_argument(
             "--push", type=finite, metavar="NS",
             help="push the character sideways every 3 s, in newton seconds (video only)",
@@ -73,19 +73,19 @@ class Play(Command):
             "--pack",
             metavar="FILE",
             type=Path,
-            help="compare it rounded with itself, and write it small",
+            help="write the policy alone, rounded (.json), and say what the rounding costs",
         )
         parser.add_argument(
             "--bits", type=int, choices=BITS,
-            help="of a packed weight, whatever they cost (8, or the next of these that loses nothing by it)",
+            help="bits of a packed weight, whatever is lost (by default 8, or more where fewer lose something)",
         )  # fmt: skip
         parser.add_argument(
             "--unpack", metavar="FOLDER", type=Path,
-            help="write it as a run folder, for actuation.runs, start.run and job.run of other trainings",
+            help="write the skill as a run folder, for actuation.runs, start.run and job.run of other trainings",
         )  # fmt: skip
         parser.add_argument(
             "--follow", action="store_true",
-            help="of a run that trains: take up each new checkpoint, and draw its curves",
+            help="while the run trains: show its newest checkpoint, and draw its curves",
         )  # fmt: skip
         add_page_arguments(parser)
 

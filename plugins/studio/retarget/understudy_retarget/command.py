@@ -50,7 +50,7 @@ class Retarget(Command):
             "--scale",
             type=float,
             metavar="S",
-            help="of travel and height, instead of the legs' ratio",
+            help="multiply travel and height by this, instead of by the ratio of the legs",
         )
         parser.add_argument("--start", type=float, metavar="S", help="leave out what is before, s")
         parser.add_argument("--end", type=float, metavar="S", help="leave out what is after, s")

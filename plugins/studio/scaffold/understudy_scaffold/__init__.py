@@ -7,6 +7,6 @@ REQUIRES: tuple[str, ...] = ()
 PARTS = {
     "command": {
         "new plugin": ("new:NewPlugin", "write a package with rewards, an observation, or both"),
-        "new paper": ("new:NewPaper", "the same, with an experiment, page and table"),
+        "new paper": ("new:NewPaper", "write a package for a paper, with page and table"),
     },
 }

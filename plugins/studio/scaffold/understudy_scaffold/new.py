@@ -47,7 +47,7 @@ class NewPlugin(Command):
 
 
 class NewPaper(Command):
-    """Writes the same, with an experiment, the paper's page and a table."""
+    """Writes what `new plugin` does, with an experiment, the paper's page and a table to reproduce."""
 
     example = "understudy new paper hopping"
 
@@ -60,7 +60,7 @@ class NewPaper(Command):
 
 def _where(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", help="of the plugin: a word, as in `juggling`")
-    parser.add_argument("--folder", type=Path, help="where to write; else understudy-NAME")
+    parser.add_argument("--folder", type=Path, help="where to write (understudy-NAME)")
 
 
 def _begin(options: argparse.Namespace, parts: Sequence[str], *more: str) -> int:
