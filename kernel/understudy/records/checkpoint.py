@@ -110,6 +110,12 @@ def _sealed(content: Mapping[str, Any]) -> bytes:
     return json.dumps({"digest": digest, "content": body}).encode()
 
 
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text} is no number of JSON")
+    return number
+
+
 def read_sealed(path: Path) -> dict[str, Any]:
     """The content of a sealed JSON file, its digest checked."""
     try:
@@ -117,7 +123,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
         body = outer["content"]
         if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:
             raise RunError(f"{path} is damaged: its digest does not match.")
-        return json.loads(json.dumps(json.loads(body), allow_nan=False))  # NaN is no JSON
+        return json.loads(body, parse_float=_finite, parse_constant=_finite)
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}.") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
