@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,12 +14,12 @@ import torch
 from understudy.errors import ConfigError, PluginError
 from understudy.running.environment import Environment
 from understudy.running.promises import Parts
-from understudy.setup.config import Chosen, Experiment, Noting
+from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, Scene
 from understudy.task.terms import Term, Wired, make_term, renamed
 
-__all__ = ["Built", "build_environment", "build_sections", "device_of"]
+__all__ = ["Built", "build_environment", "build_scene", "build_sections", "device_of"]
 
 
 @dataclass
@@ -47,12 +48,39 @@ def device_of(name: str) -> torch.device:
 
 def build_sections(experiment: Experiment) -> dict[str, Any]:
     """What the config sections of plugins become."""
-    registry = experiment.registry
-    built = {
-        name: registry.sections[name].build.make(object, options, registry, experiment.inputs)
-        for name, options in experiment.sections.items()
-    }
-    return Noting(built, experiment.asked)
+    registry, built = experiment.registry, copy.copy(experiment.sections)  # a dict, or alike
+    for name, options in experiment.sections.items():
+        build = registry.sections[name].build
+        built[name] = build.make(object, options, registry, experiment.inputs)
+    return built
+
+
+def _context(
+    experiment: Experiment, device: torch.device, sections: Mapping[str, Any] | None
+) -> Context:
+    """What parts of `experiment` are built in, for one world; `sections` built already, if not None."""
+    root = experiment.root
+    return Context(
+        seed=root.seed,
+        device=device,
+        num_worlds=1,
+        control_dt=1.0 / root.control.frequency,
+        substeps=root.control.substeps,
+        decision=root.control.decision,
+        own_substeps=root.control.substeps,
+        registry=experiment.registry,
+        sections=build_sections(experiment) if sections is None else sections,
+        chosen=experiment.choices,
+        inputs=experiment.inputs,
+    )
+
+
+def build_scene(experiment: Experiment, sections: Mapping[str, Any] | None = None) -> Context:
+    """A context of one world on the CPU with the scene of `experiment`, to be shown or measured, and
+    no simulator; `sections` are those that the scene needs, if not all."""
+    context = _context(experiment, torch.device("cpu"), sections)
+    context.scene = experiment.need("scene").build(context)
+    return context
 
 
 def build_environment(
@@ -70,22 +98,11 @@ def build_environment(
     When `evaluating`, the curriculum stands at the target difficulty, and failure terms that
     ``evaluation.failures`` does not name are only reported.
     """
-    root, registry = experiment.root, experiment.registry
-    context = Context(
-        seed=root.seed,
-        device=device_of(root.device),
-        num_worlds=root.num_worlds if num_worlds is None else num_worlds,
-        control_dt=1.0 / root.control.frequency,
-        substeps=root.control.substeps if substeps is None else substeps,
-        decision=root.control.decision,
-        difficulty=root.difficulty,
-        evaluating=evaluating,
-        own_substeps=root.control.substeps,
-        registry=registry,
-        sections=sections or build_sections(experiment),
-        chosen=experiment.choices,
-        inputs=experiment.inputs,
-    )
+    root = experiment.root
+    context = _context(experiment, device_of(root.device), sections)
+    context.num_worlds = root.num_worlds if num_worlds is None else num_worlds
+    context.substeps = context.substeps if substeps is None else substeps
+    context.difficulty, context.evaluating = root.difficulty, evaluating
     context.scene = scene or experiment.need("scene").build(context)
     simulator = context.simulator = experiment.need("simulator").build(context)
 
@@ -129,7 +146,7 @@ def build_environment(
         parts,
         context,
         episode_seconds=root.episode.seconds if episode_seconds is None else episode_seconds,
-        known_fields=lambda name: list(providers_of(name, registry)),
+        known_fields=lambda name: list(providers_of(name, experiment.registry)),
     )
     context.action_space = parts.actuation.part.action_space
     context.observation_shapes = environment.observation_shapes

@@ -13,36 +13,12 @@ from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
 from understudy.options import at, plain
 from understudy.setup.registry import Component, Registry
-from understudy.setup.root import KEYS, Root
+from understudy.setup.root import Root
 
 __all__ = ["Chosen", "Experiment"]
 
 #: What a run iterates whose configuration names no job.
 USUAL_JOB = "reinforcement"
-
-
-class Noting(dict[str, Any]):
-    """A mapping that notes which of its keys were `asked` for."""
-
-    def __init__(self, items: Mapping[str, Any], asked: set[str]) -> None:
-        super().__init__(items)
-        self._asked = asked
-
-    def __getitem__(self, key: str) -> Any:
-        self._asked.add(key)
-        return super().__getitem__(key)
-
-    def get(self, key: str, default: Any = None) -> Any:
-        self._asked.add(key)
-        return super().get(key, default)
-
-
-class NotingRoot(Root):
-    """Notes which of its keys are asked for in its ``asked``, from when it has that."""
-
-    def __getattribute__(self, key: str) -> Any:
-        object.__getattribute__(self, "__dict__").get("asked", set()).add(key)
-        return super().__getattribute__(key)
 
 
 @dataclass(frozen=True)
@@ -76,10 +52,9 @@ class Experiment:
 
     root: Root
     choices: Mapping[str, tuple[Chosen, ...]]  #: by slot
-    sections: Mapping[str, Any]
+    sections: dict[str, Any]  #: their options, by name
     registry: Registry
     inputs: Inputs = field(default_factory=Inputs)
-    asked: set[str] = field(default_factory=set)  #: what of all this somebody has read, since then
 
     def one(self, slot: str) -> Chosen | None:
         """What fills `slot`, which takes one component."""
@@ -148,7 +123,7 @@ class Experiment:
     def effective(self) -> dict[str, Any]:
         """The configuration as plain data, every default filled in; validates to the same, also
         where plugins that it does not use are absent."""
-        root, choices = Root(**{k: vars(self.root)[k] for k in KEYS}), dict(self.choices)  # unnoted
+        root, choices = Root(**vars(self.root)), dict(self.choices)  # plain, whatever those are
         found = plain(dataclasses.asdict(root))
         for slot in self.registry.slots.values():
             chosen = choices[slot.name]

@@ -22,7 +22,7 @@ from understudy.options import (
     make_options,
     options_of,
 )
-from understudy.setup.config import Chosen, Experiment, Noting, NotingRoot
+from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import KEYS, Root
 from understudy.task.terms import Outcome, Reduction
@@ -52,7 +52,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         if key not in known:
             raise ConfigError(unknown_key(str(key), registry) + registry.absent())
     given = {k: v for k, v in raw.items() if k in KEYS and not (v is None and k in GROUPS)}
-    root = make_options(NotingRoot, given, "")
+    root = make_options(Root, given, "")
     choices = {
         slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
         for slot in registry.slots.values()
@@ -62,10 +62,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         if raw.get(name) is not None:
             with section.options.guarded("has options that cannot be read"):
                 sections[name] = make_options(section.options.factory, raw[name], name)
-    asked = set[str]()
-    experiment = Experiment(
-        root, Noting(choices, asked), Noting(sections, asked), registry, asked=asked
-    )
+    experiment = Experiment(root, choices, sections, registry)
     if root.evaluation.objective != "success_rate":
         experiment.need_measure(root.evaluation.objective, "evaluation.objective")
     _ = experiment.failures
@@ -79,8 +76,6 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
                         "and reward.combine=product takes no negative terms. Use reward.combine=sum, "
                         "or another term."
                     )
-    asked.clear()
-    vars(root)["asked"] = asked
     return experiment
 
 

@@ -12,8 +12,9 @@ import torch
 from understudy.errors import ConfigError, FileError
 from understudy.records import runs
 from understudy.records.runs import Run
+from understudy.setup.building import build_scene
 from understudy.setup.config import Experiment
-from understudy.task import Context, Scene
+from understudy.task import Scene
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene, other_bodies
 from understudy_motion.clip import Clip, Skeleton
@@ -218,19 +219,7 @@ def unsimulated(run: Run) -> Experiment:
 
 def scene_of(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
     """The scene of `experiment` on the CPU, as for one world, with the `sections` that it needs."""
-    control = experiment.root.control
-    context = Context(
-        seed=0,
-        device=torch.device("cpu"),
-        num_worlds=1,
-        control_dt=1.0 / control.frequency,
-        substeps=control.substeps,
-        registry=experiment.registry,
-        inputs=experiment.inputs,
-        sections=dict(sections),
-        chosen=experiment.choices,
-    )
-    return experiment.need("scene").build(context)
+    return build_scene(experiment, sections).scene
 
 
 def _character(experiment: Experiment) -> Character:

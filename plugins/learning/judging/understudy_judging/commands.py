@@ -26,8 +26,9 @@ from understudy.setup.root import Root
 from understudy_judging.half_step import Finer, compared
 from understudy_skills.folder import run_folder
 from understudy_skills.words import refuse_of_trainings
+from understudy_training.unread import noting, unread
 from understudy_training.watching import observers
-from understudy_training.workflow import judge, unread
+from understudy_training.workflow import judge
 
 __all__ = ["load"]
 
@@ -245,7 +246,7 @@ def load(
         most = config["evaluation"].get("episodes")
         asked = _value("episodes", own["episodes"])
         _set(config, "evaluation.episodes", min(most, asked) if type(most) is int else asked)
-    experiment = run.experiment(config=config)
+    experiment = noting(run.experiment(config=config))
     options = experiment.root.evaluation
     if "evaluation.episodes" in given and options.episodes < options.final_episodes:
         tell(

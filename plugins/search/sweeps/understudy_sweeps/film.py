@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from understudy.errors import FileError, RunError, UnderstudyError
 from understudy.folders import opened, read, write_atomically
 from understudy.records import runs
-from understudy.setup.building import build_sections
-from understudy.task import Context, Scene
+from understudy.setup.building import build_scene
+from understudy.task import Scene
 from understudy_report.recording import recorded_tracks
 from understudy_report.video import write_video
 
@@ -142,21 +141,11 @@ class _Take:
 def scene_of(folder: Path) -> Scene:
     """The scene of the run in `folder`, on the CPU."""
     experiment = runs.open_run(folder).experiment()
-    root = experiment.root
-    context = Context(
-        seed=root.seed,
-        device=torch.device("cpu"),
-        num_worlds=1,
-        control_dt=1.0 / root.control.frequency,
-        substeps=root.control.substeps,
-        registry=experiment.registry,
-        sections=build_sections(experiment),
-        chosen=experiment.choices,
-        inputs=experiment.inputs,
-    )
     try:
-        return experiment.need("scene").build(context)
+        scene = build_scene(experiment).scene
     except UnderstudyError:
         raise
     except Exception as error:  # it may come from any plugin
         raise RunError(f"{type(error).__name__}: {error}") from error
+    assert scene is not None
+    return scene

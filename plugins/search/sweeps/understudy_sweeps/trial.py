@@ -28,7 +28,8 @@ from understudy_reinforcement.job import Reinforcement
 from understudy_report.progress import Lines
 from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
-from understudy_training.workflow import leave_damaged_rows_out, unread
+from understudy_training.unread import noting, unread
+from understudy_training.workflow import leave_damaged_rows_out
 
 __all__ = ["folder_of", "run_trial", "written"]
 
@@ -210,7 +211,7 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
             refused.pop_all()
         return training
     overrides = overrides_of(trial, work)
-    experiment = load_experiment(overrides)
+    experiment = noting(load_experiment(overrides))
     training = Training(experiment, reporter).prepare()
     for note in unread(experiment, [*trial.overrides, *_point(trial)]):
         tell(f"{trial.key}: {note}")
