@@ -13,10 +13,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
+from understudy_dressing.body import Side
 from understudy_dressing.jacket import JacketScene
-from understudy_dressing.person import PersonScene, Side, depth_in, neutral_pose
-from understudy_dressing.shirt import IN_SLEEVE, ShirtScene, Worn
+from understudy_dressing.person import PersonScene, depth_in, neutral_pose
+from understudy_dressing.shirt import ShirtScene, Worn
 from understudy_dressing.sleeve import HangingScene
+from understudy_dressing.waypoints import IN_SLEEVE
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16

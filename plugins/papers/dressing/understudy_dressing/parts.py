@@ -11,7 +11,8 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, box
 from understudy_cloth.scene import ClothScene
-from understudy_dressing.person import PersonScene, sensors
+from understudy_dressing.body import sensors
+from understudy_dressing.person import PersonScene
 
 
 class SleeveObservation(Encoder):

@@ -16,8 +16,8 @@ from understudy.options import check_range
 from understudy.task import Context
 from understudy_cloth.scene import ClothModel, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
+from understudy_dressing.body import Side, tools
 from understudy_dressing.garment import Alone, GarmentScene
-from understudy_dressing.person import Side, tools
 from understudy_warp_torch.tools import Tool
 
 #: The most vertices of a sleeve: as many as a shirt has.
