@@ -49,7 +49,7 @@ def lambda_advantages(
 
 @torch.no_grad()
 def digest(
-    rollout: Rollout, policy: Policy, *, gamma: float, gae_lambda: float, td_lambda: float
+    rollout: Rollout, policy: Policy, gamma: float, gae_lambda: float, td_lambda: float
 ) -> dict[str, Tensor]:
     """Set the rollout's values and TD(lambda) returns, and make one batch of its B = T·N steps.
 
