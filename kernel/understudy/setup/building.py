@@ -1,4 +1,4 @@
-"""From a validated experiment to running parts: sections, scene, simulator, then the rest."""
+"""Building what a validated experiment describes: sections, scene, simulator, then the rest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Built:
 
 
 def device_of(name: str) -> torch.device:
-    """The torch device `name`, or an error that says why it cannot be used."""
+    """The torch device `name`; or a ConfigError that says why it cannot be used."""
     if not re.fullmatch(r"cpu(:0)?|cuda(:[0-9]+)?", name):
         raise ConfigError(f"device={name} is no device. Use cpu, cuda, or cuda:1.")
     device = torch.device(name)
@@ -47,7 +47,7 @@ def device_of(name: str) -> torch.device:
 
 
 def build_sections(experiment: Experiment) -> dict[str, Any]:
-    """What the config sections of plugins become."""
+    """By name, the object built from each config section."""
     registry, built = experiment.registry, copy.copy(experiment.sections)  # a dict, or alike
     for name, options in experiment.sections.items():
         build = registry.sections[name].build
@@ -58,7 +58,7 @@ def build_sections(experiment: Experiment) -> dict[str, Any]:
 def _context(
     experiment: Experiment, device: torch.device, sections: Mapping[str, Any] | None
 ) -> Context:
-    """What parts of `experiment` are built in, for one world; `sections` built already, if not None."""
+    """The context of `experiment` for one world; `sections` are built unless they are given."""
     root = experiment.root
     return Context(
         seed=root.seed,
@@ -76,8 +76,8 @@ def _context(
 
 
 def build_scene(experiment: Experiment, sections: Mapping[str, Any] | None = None) -> Context:
-    """A context of one world on the CPU with the scene of `experiment`, to be shown or measured, and
-    no simulator; `sections` are those that the scene needs, if not all."""
+    """A context of one world on the CPU with the scene of `experiment`, to be shown or measured,
+    and no simulator; `sections` are those that the scene needs, if not all."""
     context = _context(experiment, torch.device("cpu"), sections)
     context.scene = experiment.need("scene").build(context)
     return context
@@ -93,10 +93,10 @@ def build_environment(
     evaluating: bool = False,
     substeps: int | None = None,
 ) -> Built:
-    """Build the environment of `experiment`; the keyword arguments replace its own values.
+    """Build the environment of `experiment`; keyword arguments replace its own values.
 
-    When `evaluating`, the curriculum stands at the target difficulty, and failure terms that
-    ``evaluation.failures`` does not name are only reported.
+    When `evaluating`, the curriculum is at the target difficulty, and failure terms that
+    ``evaluation.failures`` does not name only report.
     """
     root = experiment.root
     context = _context(experiment, device_of(root.device), sections)
@@ -156,7 +156,7 @@ def build_environment(
 
 
 def build_term(chosen: Chosen, context: Context) -> Term:
-    """The term's function with its options bound; a class is built first and then called."""
+    """The term: a function with its options, or an instance of a class, which is called alike."""
     function, options = chosen.component.factory, chosen.options
     if isinstance(function, type):
         function, options = chosen.build(context), None
@@ -165,7 +165,7 @@ def build_term(chosen: Chosen, context: Context) -> Term:
     return make_term(chosen.where, chosen.name, function, options or {}, **chosen.extras)
 
 
-#: By kind: the attribute of its components' classes that says which fields they give.
+#: By kind: the attribute in which its components' classes declare the fields that they provide.
 _GIVES = {
     "fields": "provides", "curriculum": "provides", "memory": "keeps", "actuation": "keeps",
     "initial_states": "episode_fields", "simulator": "fields",
@@ -173,9 +173,9 @@ _GIVES = {
 
 
 def providers_of(field: str, registry: Registry) -> Iterator[str]:
-    """The registered components that say they provide the state field `field`."""
+    """The registered components that declare that they provide the state field `field`."""
     for (kind, name), component in registry.components.items():
         if kind in _GIVES:
-            with contextlib.suppress(PluginError):  # one that cannot be used here is no advice
+            with contextlib.suppress(PluginError):  # one that cannot be imported is no advice
                 if field in (getattr(component.factory, _GIVES[kind], None) or {}):
                     yield f"{kind} '{name}'"

@@ -72,7 +72,7 @@ def character_spec(
         the file does not load.
     """
     if named in registry.names("character"):
-        return named, registry.find("character", named).made()
+        return named, registry.find("character", named).call()
     known = registry.names("character")
     # A kept model's own file may be gone: it is told from a misspelt name by its spelling then.
     path = Path(named)

@@ -61,7 +61,7 @@ def _packed(source: str, registry: Registry) -> Path | None:
     """Where the skill is, without its suffixes; None of what is none."""
     path = Path(source)
     if source in registry.names("skill"):
-        return registry.find("skill", source).made()
+        return registry.find("skill", source).call()
     packed = path.suffix == ".json" and all(file.is_file() for file in _files(path))
     return path.with_suffix("") if packed else None
 

@@ -138,7 +138,7 @@ def open_skill(
     packed = path.suffix == ".json" and path.is_file()
     known = registry.names("skill")
     if source in known:
-        path = registry.find("skill", source).made()
+        path = registry.find("skill", source).call()
         return _packed(path, source, registry, without, overrides)
     if packed:
         return _packed(path, path.stem, registry, without, overrides)
@@ -276,7 +276,7 @@ def with_own_starts(
         experiment = run.experiment(registry, _begun_as(own, skill))
     else:
         if source in registry.names("skill"):
-            path = registry.find("skill", source).made()
+            path = registry.find("skill", source).call()
         own = checkpoint.load(path)[1]["config"]
         experiment = validate(_begun_as(own, skill), registry)
     return None if _starts(experiment) == _starts(skill.experiment) else experiment
