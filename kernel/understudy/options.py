@@ -181,8 +181,7 @@ def each(value: Any, change: Callable[[Any], Any]) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The nested `value` with the number, or the text if an option took that, of each
-    :class:`Typed`."""
+    """The nested `value`, with the number of each :class:`Typed`, or its text if that was taken."""
     return each(value, lambda item: item.value if isinstance(item, Typed) else item)
 
 

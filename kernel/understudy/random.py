@@ -91,8 +91,7 @@ class WorldStreams:
         return torch.cat([radius * torch.cos(angle), radius * torch.sin(angle)], dim=1)[:, :size]
 
     def give_back(self, worlds: Tensor, before: dict[str, Tensor]) -> None:
-        """Undo, in `worlds` (N,), the draws since `before`, a :meth:`state_dict`; they were not
-        used."""
+        """In `worlds` (N,), which did not use them, undo the draws since the state `before`."""
         self._counter.copy_(torch.where(worlds.unsqueeze(1), before["counter"], self._counter))
 
     def state_dict(self) -> dict[str, Tensor]:

@@ -159,8 +159,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """Add the commands of plugins. Only the one that is called is imported and has its
-    arguments."""
+    """Add the commands of plugins; only the called one is imported and has its arguments."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")

@@ -39,5 +39,5 @@ class Command(ABC):
 
     @abstractmethod
     def run(self, options: argparse.Namespace) -> int:
-        """Carry it out; returns the exit status. Errors that the user can cause are raised as an
-        :class:`UnderstudyError`."""
+        """Carry it out; returns the exit status. Errors that a user can cause are
+        UnderstudyErrors."""

@@ -36,8 +36,7 @@ _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.i
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
-    """Write `state`, nested mappings of tensors, numbers, text and lists, as the checkpoint
-    `path`."""
+    """Write the checkpoint `path` of `state`: nested mappings, lists, tensors, numbers, text."""
     file, tensor_file = _files(path)
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors, _Room())

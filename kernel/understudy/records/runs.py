@@ -109,8 +109,8 @@ class Run:
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 
     def lock(self) -> None:
-        """Hold the folder for this process; a RunError if another trains in it, or a link leads
-        out."""
+        """Hold the folder for this process; a RunError if another does, or a link leads out of
+        it."""
         try:
             check_within(self.path)
             self._lock = open_lock(self.path / ".lock")  # held until the run ends

@@ -47,8 +47,7 @@ class Judgement(ABC):
 
     @abstractmethod
     def as_json(self, samples: int, changed: Sequence[str] = ()) -> dict[str, Any]:
-        """As plain data, after `samples`; `changed` are overrides that the training did not
-        have."""
+        """As plain data, after `samples`; `changed` are overrides that training did not have."""
 
     @abstractmethod
     def sentence(self) -> str:
@@ -128,16 +127,14 @@ class Job(ABC):
 
     @abstractmethod
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`; a RunError names the first difference of another model, task or
-        N."""
+        """Continue from `state`; a RunError names the first misfit of another model or task."""
 
     @abstractmethod
     def load_learned(self, state: State, samples: int) -> None:
         """Take what is judged (a policy) from `state`, saved after `samples`, without preparing."""
 
     def forget_worlds(self) -> None:  # noqa: B027
-        """Begin new episodes: a checkpoint has only the worlds of process 0, and this is
-        another."""
+        """Begin new episodes, in another process than 0, whose worlds a checkpoint has."""
 
     def close(self) -> None:  # noqa: B027
         """Release what it holds."""

@@ -270,8 +270,7 @@ _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)"
 
 
 def _as_typed(word: str, sets: bool) -> str:
-    """`word`; quoted if it is a number whose text is to be kept, or a file's name (unless it
-    `sets`)."""
+    """`word`; quoted if it is a number whose text is kept, or, unless it `sets`, a file's name."""
     if not _NUMERAL.fullmatch(word):
         return word
     if not sets:

@@ -1,5 +1,4 @@
-"""Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins
-bring.
+"""Loading plugins: entry points, tables, pluggy's hook, and folders of options.
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in
 tables (:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside
@@ -60,8 +59,7 @@ class Plugins:
     loaded: list[LoadedPlugin] = field(default_factory=list)
 
     def folders(self) -> list[tuple[str, Path]]:
-        """The folders of options with their owners: the kernel (without a name), then the
-        plugins."""
+        """The folders of options by owner: the kernel, whose name is empty, then the plugins."""
         found = [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
         return [("", kernel_conf()), *found]
 

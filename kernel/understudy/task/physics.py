@@ -89,8 +89,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        """Advance all worlds by a control period, or `substeps` physics steps, under `control` (N,
-        U)."""
+        """Advance by one control period, or by `substeps` physics steps, under `control` (N, U)."""
 
     @abstractmethod
     def failed(self) -> Tensor:
@@ -99,8 +98,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of all that the future depends on, with varied parameters, each (N, …),
-        exactly."""
+        """An exact copy of all that the future depends on, varied parameters too, each (N, …)."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:

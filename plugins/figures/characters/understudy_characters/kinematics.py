@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_characters.character import Character, Joint
+from understudy_characters.character import Character
+from understudy_characters.joint import Joint
 from understudy_tensors import rotations
 
 __all__ = ["Kinematics", "Poses"]

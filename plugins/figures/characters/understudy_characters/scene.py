@@ -34,7 +34,8 @@ from understudy_motion.section import Motion
 from understudy_motion.writing import Shape
 from understudy_mujoco.contact import Contact
 from understudy_mujoco.scene import MujocoScene
-from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
+from understudy_mujoco.scenery import Camera
+from understudy_mujoco.studio import LEARNED, REFERENCE, Figure
 from understudy_mujoco.studio import draw as draw_figures
 
 __all__ = ["CharacterScene", "other_bodies", "reference_motion"]
