@@ -16,7 +16,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy_dressing.body import Side
-from understudy_dressing.leading import Leading, Way
+from understudy_dressing.leading import Leading, LeadingOptions, Way
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
 from understudy_dressing.waypoints import BACK_AT, BEYOND_AT, HELD_AT, LOWERED_AT, TUCKED_AT
@@ -41,15 +41,12 @@ class Lead(Leading):
     _from, _went = "dressing/shirt_tuck", "came into the sleeve"
 
     @dataclass(frozen=True)
-    class Options:
-        bank: str  #: the bank in which the arms begin, or the folder of the run that has it
-        count: int = 24  #: how many of its states are led, evenly spaced
+    class Options(LeadingOptions):
         #: s, for the hem to come down; if `held` or `back`, for each step of that
         lowers: float = 0.6
         speed: float = 0.8  #: m/s, of fingertip and elbow, which go their own ways
         most: float = 2.2  #: s, within which the hand has to be in
         out: float = 1.6  #: s, in which the arm goes out to its side
-        keep: int = 3  #: one state is kept of this many decisions of a way
         torn: float = 2.6  #: area ratio of states that are not kept
         enough: float = 0.08  #: progress at which the arm begins to go out to its side
         elbow: tuple[float, float, float] = (0.28, 0.09, -0.08)  #: m, where the left elbow goes
@@ -65,11 +62,9 @@ class Lead(Leading):
         side: Side = "left"  #: the arm that goes in: the paper's first, or `right`, the second
 
         def __post_init__(self) -> None:
-            check_range(self, "count", least=1, most=100_000)
-            check_range(self, "keep", least=1, most=1000)
+            super().__post_init__()
             check_range(self, "lowers", "most", "out", least=0.1, most=10)
             check_range(self, "speed", least=0.05, most=5)
-            check_range(self, "torn", least=1)
             check_range(self, "enough", least=0.01, most=0.6)
             check_range(self, "goes", least=0.1, most=10)
             if self.taken and not self.held:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy_dressing.body import Side
-from understudy_dressing.leading import Leading, Way
+from understudy_dressing.leading import Leading, LeadingOptions, Way
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
 
@@ -28,23 +28,17 @@ class LeadGrip(Leading):
     _from, _went = "dressing/shirt_sleeve", "came to the hem"
 
     @dataclass(frozen=True)
-    class Options:
-        bank: str  #: the bank in which the hands begin, or the folder of the run that has it
-        count: int = 24  #: how many of its states are led, evenly spaced
+    class Options(LeadingOptions):
         speed: float = 0.8  #: m/s, of the fingertip
         most: float = 3.0  #: s, within which the hand has to be there
         near: float = 0.03  #: m, from the grip's target: within this the hand has arrived
-        keep: int = 3  #: one state is kept of this many decisions of a way
-        torn: float = 2.0  #: area ratio of states that are not kept
         side: Side = "left"  #: the hand that is to grip
 
         def __post_init__(self) -> None:
-            check_range(self, "count", least=1, most=100_000)
-            check_range(self, "keep", least=1, most=1000)
+            super().__post_init__()
             check_range(self, "most", least=0.1, most=10)
             check_range(self, "speed", least=0.05, most=5)
             check_range(self, "near", least=0.005, most=0.2)
-            check_range(self, "torn", least=1)
 
     options: Options
 
@@ -65,4 +59,4 @@ class LeadGrip(Leading):
         return way
 
     def _keep(self, places: list[Place], at: Callable[..., dict[str, Tensor]]) -> None:
-        self._keep_halves(places, at, "taken", self.options.keep, self.options.torn)
+        self._keep_halves(places, at, "taken")

@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from understudy.options import check_range
-from understudy_dressing.leading import Leading, Way
+from understudy_dressing.leading import Leading, LeadingOptions, Way
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
 
@@ -27,18 +27,12 @@ class LeadRest(Leading):
     _from, _went = "dressing/shirt_sleeve_second", "came to rest"
 
     @dataclass(frozen=True)
-    class Options:
-        bank: str  #: the bank in which they begin, or the folder of the run that has it
-        count: int = 24  #: how many of its states are led, evenly spaced
+    class Options(LeadingOptions):
         seconds: float = 1.6  #: s, that the way back takes
-        keep: int = 3  #: one state is kept of this many decisions of a way
-        torn: float = 2.0  #: area ratio of states that are not kept
 
         def __post_init__(self) -> None:
-            check_range(self, "count", least=1, most=100_000)
-            check_range(self, "keep", least=1, most=1000)
+            super().__post_init__()
             check_range(self, "seconds", least=0.1, most=10)
-            check_range(self, "torn", least=1)
 
     options: Options
 
@@ -59,4 +53,4 @@ class LeadRest(Leading):
         return way
 
     def _keep(self, places: list[Place], at: Callable[..., dict[str, Tensor]]) -> None:
-        self._keep_halves(places, at, "rested", self.options.keep, self.options.torn)
+        self._keep_halves(places, at, "rested")

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, TrainingError
+from understudy.options import check_range
 from understudy.records.runs import Run
 from understudy.setup.building import build_scene, device_of
 from understudy.setup.config import Experiment
@@ -55,6 +56,21 @@ class Way:
         return self.places[-1].through
 
 
+@dataclass(frozen=True)
+class LeadingOptions:
+    """What all jobs that lead are asked."""
+
+    bank: str  #: the bank in which the ways begin, or the folder of the run that has it
+    count: int = 24  #: how many of its states are led, evenly spaced
+    keep: int = 3  #: one state is kept of this many decisions of a way
+    torn: float = 2.0  #: area ratio of states that are not kept
+
+    def __post_init__(self) -> None:
+        check_range(self, "count", least=1, most=100_000)
+        check_range(self, "keep", least=1, most=1000)
+        check_range(self, "torn", least=1)
+
+
 class Leading(Gathering):
     """Leads an arm from each of some states of a bank, and leaves banks of states of the way, each in a folder of its own name.
 
@@ -62,6 +78,7 @@ class Leading(Gathering):
     repeated. All states are at rest except those at the beginning. States that a bank holds out for evaluations are not led.
     """
 
+    options: Any  #: LeadingOptions, with what a job adds
     portions: ClassVar[tuple[str, ...]]  #: the names of the banks that it may leave
     _from: ClassVar[str]  #: the experiment from whose last states it leads
     _went: ClassVar[str]  #: what no arm did, for the error when all of them failed
@@ -83,11 +100,11 @@ class Leading(Gathering):
         with that of the decision `until`."""
 
     def _keep_halves(
-        self, places: list[Place], at: Callable[..., dict[str, Tensor]], end: str, every: int, torn: float
-    ) -> None:  # fmt: skip
-        """Keep the first state as ``ends`` and the last as `end`; between them the state of every `every`-th decision, if the area
-        ratio is below `torn`: as ``far`` in the first half of the way, as ``near`` in the second."""
-        last = len(places) - 1
+        self, places: list[Place], at: Callable[..., dict[str, Tensor]], end: str
+    ) -> None:
+        """Keep the first state as ``ends`` and the last as `end`; those between them that the options ask for as ``far`` in the
+        first half of the way, and as ``near`` in the second."""
+        every, torn, last = self.options.keep, self.options.torn, len(places) - 1
         self._kept["ends"].append(at(0))
         self._kept[end].append(at(last))
         for k in range(every, last, every):
