@@ -3,7 +3,7 @@
 A :class:`Clip` of a character has one joint for each body that can move against its parent, named
 after the body. In the *zero pose* (``qpos0``) every joint's frame is parallel to the root's, so all
 rotations are then the identity; offsets are those of the zero pose. Several hinges of one body are
-one joint, which is where the first of them is. Bodies without joints belong to the body they are welded to.
+one joint, at the place of the first one. A body without joints belongs to the body that it is welded to.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def character_spec(
 
 
 def _warn_of_angles(spec: mujoco.MjSpec, name: str) -> None:
-    """Say so where the ranges of hinges are as of the other unit of angles: MJCF's is the degree where nothing is said."""
+    """Warn if the ranges of hinges look like the other unit of angles: MJCF's default is degrees."""
     ends = sorted(
         float(np.abs(joint.range).max())
         for joint in spec.joints
@@ -142,8 +142,8 @@ def _free_root(spec: mujoco.MjSpec, name: str) -> None:
 class Character:
     """A model with a free root, whose other bodies hang on ball joints or on up to three hinges.
 
-    F frames, J joints (the root first, parents before children), nq as in MuJoCo. Of several free bodies
-    the root is the one on which the most joints hang, the first of these; the others are things.
+    F frames, J joints (the root first, parents before children), nq as in MuJoCo. Of several free bodies, the root is
+    the first one with the most joints below it; the others are things.
 
     Hinges of one body at different points also move it a little. ``qpos`` and all that is computed from
     it have that; a clip, whose joints only turn, has not.
@@ -235,7 +235,7 @@ class Character:
 
     @cached_property
     def company(self) -> dict[str, int]:
-        """By the first body of what else moves on joints in the model, another robot: how many it has."""
+        """What else moves on joints in the model, such as another robot: by its first body, how many joints it has."""
         model, found = self.model, dict[str, int]()
         for joint in range(model.njnt):
             first = int(model.body_rootid[model.jnt_bodyid[joint]])
@@ -247,7 +247,7 @@ class Character:
         return self.model.body(body).name or f"body{body}"
 
     def _at_rest(self) -> None:
-        """Where the joints are in the zero pose, in the root's frame."""
+        """Find where the joints are in the zero pose, in the root's frame."""
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
@@ -271,7 +271,7 @@ class Character:
         self._anchors = anchors
 
     def _tips(self, parents: np.ndarray) -> dict[str, np.ndarray]:
-        """Of joints without children: the farthest point of what they carry along its main axis."""
+        """For joints without children: the farthest point of what they carry, along its main axis."""
         tips = {}
         for row, joint in enumerate(self.joints):
             if row in parents:
@@ -300,7 +300,7 @@ class Character:
 
     @cached_property
     def length(self) -> float:
-        """m: how far the figure reaches in the zero pose, between the surfaces farthest apart."""
+        """m: the figure's size in the zero pose, between the surfaces that are farthest apart."""
         geoms = [(g.centre, self.model.geom_rbound[g.id]) for g in self.geoms]
         return max(
             (float(np.linalg.norm(a - b)) + r + s for a, r in geoms for b, s in geoms), default=1.0
@@ -320,7 +320,7 @@ class Character:
 
     @cached_property
     def geoms(self) -> tuple[Geom, ...]:
-        """Of these the ones that collide, if any does."""
+        """The geoms that collide; all of them if none does."""
         model = self.model
         colliding = tuple(
             g for g in self.shown if model.geom_contype[g.id] or model.geom_conaffinity[g.id]
@@ -331,7 +331,7 @@ class Character:
 
     def qpos(self, clip: Clip, times: Tensor | None = None) -> Tensor:
         """``qpos`` (F, nq) float64 of `clip` at `times` (F,) s (at its own frames if None), mapped by
-        joint name. Rotations that a joint's hinges cannot make are brought to the nearest they can.
+        joint name. A rotation that a joint's hinges cannot make becomes the nearest one that they can.
 
         Raises
         ------
@@ -385,8 +385,8 @@ class Character:
         }
 
     def posed(self, clip: Clip) -> Clip:
-        """`clip` itself; or if it has a robot's angles in place of joints
-        (:mod:`understudy_motion.readers.angles`), the clip of this character with these angles.
+        """`clip` itself; or, if it has a robot's angles instead of joints (:mod:`understudy_motion.readers.angles`), the
+        clip of this character with these angles.
 
         Raises
         ------
@@ -452,7 +452,7 @@ class Character:
 
     @cached_property
     def _rests(self) -> list[Tensor | None]:
-        """Of each joint :attr:`rest_rotations`; None where that is no turn at all."""
+        """For each joint its row of :attr:`rest_rotations`; None if that is the identity."""
         found = torch.from_numpy(self.rest_rotations.as_quat(scalar_first=True))
         still = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
         return [None if torch.equal(rest, still) else rest for rest in found]
@@ -460,8 +460,7 @@ class Character:
     # ------------------------------------------------------------------ geometry
 
     def clearance(self, qpos: Tensor) -> Tensor:
-        """(F, J): height in m of the lowest point of what each joint carries above z = 0; infinite
-        where it carries nothing."""
+        """(F, J) m: the height above z = 0 of the lowest point of what each joint carries; infinite if it carries nothing."""
         ids = [geom.id for geom in self.geoms]
         model, data = self.model, self.data
         places, axes = np.empty((len(qpos), model.ngeom, 3)), np.empty((len(qpos), model.ngeom, 9))

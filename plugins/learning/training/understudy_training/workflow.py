@@ -1,4 +1,4 @@
-"""What the commands train and resume do, and what is left behind."""
+"""What the commands train and resume do."""
 
 from __future__ import annotations
 
