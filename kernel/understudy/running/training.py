@@ -13,7 +13,6 @@ import signal
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -131,9 +130,10 @@ class Training:
                 "Use the configuration it was made with."
             ) from error
 
-    def save(self) -> Path:
-        run = self.run
-        assert run is not None
+    def save(self) -> None:
+        """Write a checkpoint, unless this process writes nothing."""
+        if (run := self.run) is None:
+            return
         run.check_held()
         path = run.checkpoints / f"{self.progress.iteration:08d}"
         meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
@@ -141,7 +141,6 @@ class Training:
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
         self._saved_at = self.progress.seconds
-        return path
 
     def resume(self) -> None:
         """Load the newest intact checkpoint of the run; a run that was stopped before its first one
@@ -235,7 +234,7 @@ class Training:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
                     due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
-                    if run is not None and (due or stopping):
+                    if due or stopping:
                         self.save()
                     if stopping:
                         raise self._preempted(stop.received)
@@ -243,11 +242,10 @@ class Training:
                         yield row
                     except GeneratorExit:
                         self.outcome = "stopped"
-                        if run is not None:
-                            self.save()
+                        self.save()
                         raise
+                self.save()
                 if run is not None:
-                    self.save()
                     self.job.products(run)
             finally:
                 if run is not None:
