@@ -41,13 +41,12 @@ class Tile:
 
 
 def columns_of(count: int) -> int:
-    """In how many columns `count` tiles stand."""
+    """The number of columns for `count` tiles."""
     return 1 if count == 1 else 2 if count in (2, 4) else 3
 
 
 def shows(path: Path, tiles: Sequence[Tile]) -> bool:
-    """Whether the video `path` is of just these recordings; which of two files is newer says nothing where
-    clocks are set."""
+    """Whether the video `path` is of exactly these recordings; times of files are no evidence, since clocks are set."""
     mark = path.with_suffix(".json")
     try:
         with opened(path):  # as large as the page takes one
@@ -94,7 +93,7 @@ def make_film(path: Path, tiles: Sequence[Tile]) -> None:
 
 
 def _identity(tiles: Sequence[Tile]) -> bytes:
-    """What decides how the film looks."""
+    """Everything that the film's look depends on."""
     stamps = [
         (t.name, t.run.name, t.recording.stat().st_mtime_ns) for t in tiles if t.recording.exists()
     ]
@@ -103,7 +102,7 @@ def _identity(tiles: Sequence[Tile]) -> bytes:
 
 @dataclass(frozen=True)
 class _Take:
-    """A recording and what draws it."""
+    """A recording and the scene that draws it."""
 
     scene: Scene
     tracks: dict[str, np.ndarray]  #: by field, each (T, …)
