@@ -12,7 +12,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, box
 from understudy_characters.scene import CharacterScene
-from understudy_pose_vae.limits import Range, check_axes, servo_axes, target_limits
+from understudy_characters.target_limits import Range, check_axes, servo_axes, target_limits
 
 #: rad, of the right side: about the axes forward, left and up of the zero pose for balls. Ours, from
 #: tables of the ranges of motion of athletes; the left side mirrors the first and the last axis.
