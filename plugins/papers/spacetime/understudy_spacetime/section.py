@@ -18,7 +18,7 @@ from understudy_characters.state import joint_rotations
 from understudy_report.charts import Axes, grid, svg
 from understudy_report.section import ReportSection
 from understudy_report.values import mapping
-from understudy_spacetime.initial_states import evolved_states
+from understudy_spacetime.evolution import evolved_states
 from understudy_tensors.rotations import angle_between
 
 
