@@ -42,9 +42,8 @@ class MLPPolicy(Policy):
 
     @dataclass(frozen=True)
     class Options:
-        observation: str | tuple[str, ...] = (
-            "state"  #: name of the encoder read, or several in their order
-        )
+        #: name of the encoder read, or several in their order
+        observation: str | tuple[str, ...] = "state"
         #: What the critic reads in its place, which the actor need not know; null is what the actor reads.
         critic: str | tuple[str, ...] | None = None
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)

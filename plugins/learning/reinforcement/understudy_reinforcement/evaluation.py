@@ -64,9 +64,8 @@ class Evaluation(Judgement):
     objective: str = "success_rate"  #: what searches maximise: this, or a measure
     seconds: float | None = None  #: the episodes' length
     unsound: float = 0.0  #: share whose numbers went wrong; they are no success
-    different_starts: int | None = (
-        None  #: in how many states episodes began; None if nobody counted
-    )
+    #: in how many states episodes began; None if nobody counted
+    different_starts: int | None = None
     #: Of each episode a digest of where it began, and what `compared` came to; empty if nobody counted.
     outcomes: Sequence[tuple[bytes, float]] = field(default=(), compare=False, repr=False)
     compared: str = "success"  #: what `outcomes` are of: success, 1 or 0, or a measure

@@ -198,9 +198,8 @@ class Harvest(Gathering):
         """For each world, the state to keep if its episode ends now."""
         if self.options.moment != "anywhere":
             return reached
-        self._age += (
-            1.0  # reservoir sampling: the k-th state takes the place of the one kept with 1/k
-        )
+        # reservoir sampling: the k-th state takes the place of the one kept with 1/k
+        self._age += 1.0
         take = self._streams.uniform(1).squeeze(1) * self._age < 1.0
         for name, value in reached.items():
             kept = self._kept.get(name, value)

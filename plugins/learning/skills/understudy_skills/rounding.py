@@ -25,9 +25,8 @@ class Rounding:
 
     bits: int
     evaluation: Judgement  #: of the policy as it is once packed
-    paired: Paired | None = (
-        None  #: beside its own weights; None where nothing was rounded or could be paired
-    )
+    #: beside its own weights; None where nothing was rounded or could be paired
+    paired: Paired | None = None
 
     @property
     def falls(self) -> bool:

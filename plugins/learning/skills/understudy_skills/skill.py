@@ -97,9 +97,8 @@ class Skill:
         RunError
             as :meth:`give`.
         """
-        root = replace(
-            self.experiment.root, device="cpu"
-        )  # only sizes are asked, whatever it was trained on
+        # only sizes are asked, whatever it was trained on
+        root = replace(self.experiment.root, device="cpu")
         experiment = replace(self.experiment, root=root)
         built = build_environment(experiment, num_worlds=1)
         try:

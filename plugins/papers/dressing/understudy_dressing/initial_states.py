@@ -153,9 +153,8 @@ class WornShirt(_Settled):
         other_dressed: bool = False  #: whether the other arm is in its own sleeve
         push: float = 0.5  #: m/s, of all of the cloth (2018 code: 0.5, of an unknown unit)
         noise: float = 0.01  #: rad, uniform, of the pose
-        rates: float = (
-            0.1  #: rad/s, uniform, of its velocity (2018 code: 0.1 of the first two subtasks)
-        )
+        #: rad/s, uniform, of its velocity (2018 code: 0.1 of the first two subtasks)
+        rates: float = 0.1
 
         def __post_init__(self) -> None:
             check_range(self, "push", "noise", "rates", least=0, most=10)

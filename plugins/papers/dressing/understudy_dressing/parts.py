@@ -102,9 +102,8 @@ class Torques(Actuation):
     @dataclass(frozen=True)
     class Options:
         closed: tuple[bool, ...] = (True,)  #: of each grip of the garment, whether it holds
-        most: float = (
-            1.0  #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
-        )
+        #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
+        most: float = 1.0
 
         def __post_init__(self) -> None:
             check_range(self, "most", above=0, most=1)

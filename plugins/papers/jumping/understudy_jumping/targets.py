@@ -40,9 +40,8 @@ class Targets(Actuation):
         #: By joint instead of :data:`RANGES`: (least, most) of each axis, no margin added.
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
         margin: float = 0.5  #: rad, from 0, that targets may lie beyond a joint's range
-        rest: Mapping[str, tuple[float, ...]] = field(
-            default_factory=dict
-        )  #: rad, by joint; else 0
+        #: rad, by joint; else 0
+        rest: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
             check_range(self, "margin", least=0)

@@ -27,9 +27,8 @@ class Mean:
 
     value: float
     count: int
-    low: float | None = (
-        None  #: None of one or two values, which say next to nothing of their spread
-    )
+    #: None of one or two values, which say next to nothing of their spread
+    low: float | None = None
     high: float | None = None
 
     def clipped(self, low: float, high: float) -> Mean:
