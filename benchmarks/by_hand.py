@@ -22,12 +22,14 @@ from torch import Tensor
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_dressing.shirt import _TUCKED_AT, DRESSED, Moves, ShirtScene
+from understudy_dressing.moves import Moves
+from understudy_dressing.shirt import ShirtScene
+from understudy_dressing.waypoints import DRESSED, TUCKED_AT
 
 RECORD = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "dressing_by_hand.jsonl"
 WORDS = ("device=cpu", "simulators.person.name=mujoco", "scene.steps.cloth=10", "curriculum=null")
 #: m: where the left fingertip goes, the last two places beyond the triangle.
-PLACES = (*_TUCKED_AT, (0.31, 0.0, -0.27), (0.31, -0.01, -0.20))
+PLACES = (*TUCKED_AT, (0.31, 0.0, -0.27), (0.31, -0.01, -0.20))
 #: N m/rad and N m s/rad: of torso, spine, neck and head, then of each arm, weak enough for one torque in 40 ms.
 _ARM = [(30, 2), (30, 2), (25, 2.5), (25, 2.5), (4, 0.3), (10, 0.3), (3, 0), (3, 0)]
 _GAINS = [(150, 5), (150, 5), (60, 3), (5, 0), (5, 0), (5, 0), *_ARM, *_ARM]

@@ -1,4 +1,4 @@
-"""Several processes, one GPU each, started by ``torchrun``. In one process all of this is the identity.
+"""Several processes, one GPU each, started by ``torchrun``. A single process is a group of one.
 
 Each process owns ``num_worlds`` worlds; process r's are worlds r·N to r·N + N - 1 of the random
 streams. Gradients and statistics are averaged over processes, decisions are process 0's, and only
@@ -47,7 +47,7 @@ def add_up(values: Tensor) -> None:
 def _lost_processes() -> Iterator[None]:
     try:
         yield
-    except RuntimeError as error:  # which libraries give when nobody answers
+    except RuntimeError as error:  # which torch raises when nobody answers
         raise TrainingError(
             f"Another process of this training ended or does not answer ({said(error)}). What was "
             "saved stays: start as many processes again, of `understudy resume` with the run's folder."

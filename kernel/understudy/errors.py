@@ -1,4 +1,4 @@
-"""The errors a user can cause, each one sentence long and each saying what to do next.
+"""The errors that a user can cause, each one sentence that says what to do next.
 
 The command line prints a :class:`UnderstudyError` as one line and exits with its ``exit_status``;
 every other exception is a defect and keeps its traceback.
@@ -46,19 +46,19 @@ class RunError(UnderstudyError):
 
 
 class TrainingError(UnderstudyError):
-    """A training that cannot go on: numbers left the finite, or nothing is left to learn from."""
+    """A training that cannot go on: numbers are not finite, or there is nothing to learn from."""
 
     exit_status = 1
 
 
 class PreemptedError(UnderstudyError):
-    """The run was told to stop, saved everything, and wants to be started again."""
+    """The run was told to stop, and saved everything; it can be started again."""
 
     exit_status = 75  # EX_TEMPFAIL of sysexits.h: "try again later", what cluster requeues look for
 
 
 def said(error: BaseException) -> str:
-    """What a stranger's `error` says, on one line, even where asking it fails."""
+    """The message of a stranger's `error` on one line, even if making it text fails."""
     kind = type(error).__name__
     try:
         return " ".join(f"{kind}: {error}".split("\n")[0].split())
@@ -67,13 +67,13 @@ def said(error: BaseException) -> str:
 
 
 def shown(text: str) -> str:
-    """`text` without what would command a terminal: strangers' files may have it."""
+    """`text` without characters that would command a terminal, which strangers' files may have."""
     return "".join(c for c in text if c.isprintable() or c == "\n")
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` for a near miss of a known name or its end, whatever the case of
-    letters; else all known names, and many of them grouped by what stands before their slash."""
+    """`` Did you mean 'x'?`` if `word` is nearly a known name or its end, in any case of letters;
+    else all known names; many are grouped by what comes before their slash."""
     names = sorted(set(known))
     small, low = word.lower(), {n.lower(): n for n in reversed(names)}
     close = [low[small]] if small in low else []
@@ -93,5 +93,5 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def _first(names: list[str], most: int = 48) -> list[str]:
-    """As many as a reader looks through, and how many more there are."""
+    """As many as one reads, and how many more there are."""
     return names if len(names) <= most else [*names[:most], f"… and {len(names) - most} more"]

@@ -1,4 +1,4 @@
-"""Files: of a stranger's nothing outside is reached, nothing endless is read; ours are written whole."""
+"""Reading strangers' files safely: none outside a folder, none without end; writing ours whole."""
 
 from __future__ import annotations
 
@@ -14,49 +14,47 @@ from understudy.errors import RunError
 
 __all__ = ["DOCUMENT", "check_within", "opened", "read", "sync", "write_atomically"]
 
-DOCUMENT = 2**28  #: most bytes that a JSON file, such as ``run.json``, has
-#: Errors of file systems that have no locks, or cannot be asked to write at once.
+DOCUMENT = 2**28  #: most bytes of a JSON file, such as ``run.json``
+#: Errors of file systems without locks, or without a way to write to the disk at once.
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOTTY)
 
 
 def check_within(folder: Path) -> None:
-    """See that all of `folder` is files and folders of its own, before anything in it is opened; a
-    RunError names the first part that resolves outside it, or is a pipe, a device or a socket."""
-    top, waiting = os.path.realpath(folder), [os.fspath(folder)]
-    try:
-        while waiting:
-            with contextlib.suppress(FileNotFoundError):  # somebody else's, gone meanwhile
-                for entry in os.scandir(waiting.pop()):
-                    with contextlib.suppress(FileNotFoundError):
-                        mode = entry.stat(follow_symlinks=False).st_mode
-                        if stat.S_ISDIR(mode):
-                            waiting.append(entry.path)
-                        elif stat.S_ISLNK(mode):
-                            inside = os.path.commonpath([top, os.path.realpath(entry.path)]) == top
-                            if not inside:
-                                raise RunError(
-                                    f"{entry.path} is a link that leads out of {folder}. Put what it "
-                                    "leads to in its place, or remove it."
-                                )
-                        elif not stat.S_ISREG(mode):
-                            raise RunError(
-                                f"{entry.path} is neither file nor folder. Name another folder."
-                            )
-    except OSError as error:
-        raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
+    """Check `folder` before anything in it is opened: a RunError names the first part that resolves
+    outside of it, or is a pipe, a device or a socket."""
+
+    def failed(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):  # which another process has just removed
+            raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
+
+    top = os.path.realpath(folder)
+    for above, folders, files in os.walk(folder, onerror=failed):
+        for path in (os.path.join(above, name) for name in (*folders, *files)):
+            try:
+                mode = os.lstat(path).st_mode
+            except OSError as error:
+                failed(error)
+                continue
+            if stat.S_ISLNK(mode):
+                if os.path.commonpath([top, os.path.realpath(path)]) != top:
+                    raise RunError(
+                        f"{path} is a link that leads out of {folder}. Put what it leads to in its "
+                        "place, or remove it."
+                    )
+            elif not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
+                raise RunError(f"{path} is neither file nor folder. Name another folder.")
 
 
 def open_lock(path: Path) -> io.FileIO:
-    """The lock file at `path`, made if there is none, with what is in it untouched; an OSError if it
-    cannot be opened for writing, or is a link."""
+    """The lock file at `path`, made if there is none; an OSError if it is a link, or read-only."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     return io.FileIO(os.open(path, flags, 0o666), "r+")
 
 
 @contextlib.contextmanager
 def opened(path: Path, most: int = DOCUMENT) -> Iterator[io.BufferedReader]:
-    """The file at `path`, to be read; an OSError if it cannot be opened, is no file, or is larger than
-    `most` bytes."""
+    """The file at `path`, open for reading; an OSError if it cannot be opened, is no file, or is
+    larger than `most` bytes."""
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         found = os.fstat(file.fileno())
         if stat.S_ISDIR(found.st_mode):
@@ -69,13 +67,13 @@ def opened(path: Path, most: int = DOCUMENT) -> Iterator[io.BufferedReader]:
 
 
 def read(path: Path, most: int = DOCUMENT) -> bytes:
-    """What is in the file; errors as :func:`opened`."""
+    """The content of a file; errors as of :func:`opened`."""
     with opened(path, most) as file:
         return file.read(most)
 
 
 def sync(descriptor: int) -> None:
-    """Force what was written onto the disk, on file systems that can be asked to."""
+    """Force what was written onto the disk, if the file system can."""
     try:
         os.fsync(descriptor)
     except OSError as error:
@@ -84,8 +82,8 @@ def sync(descriptor: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Replace `path` with `data` so that a crash leaves either the old file or the new one. A RunError
-    if the disk is full or the folder cannot be written; the old file is untouched."""
+    """Replace `path` with `data` so that a crash leaves either the old file or the new one. A
+    RunError if the disk is full or the folder cannot be written; the old file is untouched."""
     temporary = path.parent / f".{path.name}.{os.getpid()}.partial"
     try:
         with open(temporary, "wb") as file:
@@ -103,5 +101,5 @@ def write_atomically(path: Path, data: bytes) -> None:
             f"{path} could not be written: {error.strerror}. What was there is untouched."
         ) from error
     finally:
-        with contextlib.suppress(OSError):  # nothing is there unless that failed or was interrupted
+        with contextlib.suppress(OSError):  # it is there only if writing did not finish
             temporary.unlink()

@@ -1,4 +1,4 @@
-"""The files that parts read. A run keeps copies of them, which its parts read from then on."""
+"""The files that parts read. A run keeps copies of them, and its parts read those from then on."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ __all__ = ["Inputs"]
 
 @dataclass
 class Inputs:
-    """By what was asked for (an option, in words): the files that answer it."""
+    """The files that parts read, by what was asked for: an option, in words."""
 
     folder: Path = Path()  #: of a run's copies
-    #: The copies' digests by name in the folder, that of the file that was asked for first.
+    #: By what was asked for, the digest of each copy by its name in the folder; the main file
+    #: first.
     kept: dict[str, dict[str, str]] = field(default_factory=dict)
     _read: dict[str, list[Path]] = field(default_factory=dict)
     _fills: dict[str, Callable[[Path], None]] = field(default_factory=dict)
 
     def file(self, asked: str, find: Callable[[], Iterable[Path]]) -> Path:
         """The file to open for what is `asked`: the run's copy, else the first that `find` gives.
-        Its others (meshes, a licence) are kept with it, below the same folder. A RunError if a copy
-        is not what the run was made with."""
+        The others that it gives (meshes, a licence) are copied along, below the same folder. A
+        RunError if a copy is not what the run was made with."""
         if asked not in self.kept:
             self._read[asked] = self._read.get(asked) or list(find())
             return self._read[asked][0]
@@ -35,22 +36,21 @@ class Inputs:
             inside = ".." not in Path(name).parts and not Path(name).is_absolute()
             try:
                 inside &= path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
-            except ValueError:  # what no file can be named
+            except ValueError:  # no file can have such a name
                 inside = False
             if not inside or _digest(path) != digest:
                 raise RunError(f"{path} is not what the run was made with: put that back.")
         return self.folder / next(iter(self.kept[asked]))
 
     def folder_of(self, asked: str, source: Path, fill: Callable[[Path], None]) -> Path:
-        """The folder to read for what is `asked`, as :meth:`file`: the run's copy,
-        which `fill` writes, else `source`."""
+        """As :meth:`file`, but a folder: the run's copy, which `fill` writes, else `source`."""
         if asked in self.kept:
             return self.file(asked, list).parent
         self._fills[asked] = fill
         return source
 
     def copy(self, folder: Path) -> dict[str, dict[str, str]]:
-        """Copy what was read into `folder`, and read it there from now on; all that is kept there."""
+        """Copy what was read into `folder`, and read it there from now on; returns :attr:`kept`."""
         for asked, paths in self._read.items():
             top, self.kept[asked] = paths[0].absolute().parent, {}
             for path in map(Path.absolute, paths):

@@ -1,4 +1,5 @@
-"""Options of components: declared by a dataclass or by keyword-only parameters, checked at the border.
+"""Options of components: declared by a dataclass or by keyword-only parameters, checked at the
+border.
 
 One declaration serves the command line, the checks and the error messages.
 """
@@ -42,12 +43,12 @@ class Option:
 
 
 REQUIRED: Any = inspect.Parameter.empty
-_hints = functools.lru_cache(1024)(typing.get_type_hints)  # each experiment asks for them anew
+_hints = functools.lru_cache(1024)(typing.get_type_hints)  # every experiment asks again
 
 
 class Typed:
-    """A number or a truth value of which its value does not say how it was typed: ``1e3``,
-    ``0012``, ``on``. An option that takes text makes that its value."""
+    """A number or truth value together with the text it was typed as, where the value alone does
+    not show that: ``1e3``, ``0012``, ``on``. An option that takes text takes the text."""
 
     def __init__(self, value: Any, text: str) -> None:
         self.value, self.text = value, text
@@ -90,8 +91,8 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
     """`value` as the annotated type, or a :class:`ConfigError` that names the key path `where`.
 
     Knows the types that options use: bool, int, float, str, ``X | None``, ``Literal``, tuples and
-    lists, mappings, nested dataclasses, and Any. Integers are accepted as floats, never the
-    reverse; NaN and infinity are never accepted. A number is text as it was typed.
+    lists, mappings, nested dataclasses, and Any. A float takes whole numbers, an int only floats
+    without a fraction; NaN and infinity are never accepted. Text takes a number as it was typed.
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
@@ -105,7 +106,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
             try:
                 return coerce(value, item, where)
             except ConfigError:
-                if item is attempts[-1]:  # what a list or a mapping has in it is named there
+                if item is attempts[-1]:  # an error inside a list or mapping names its own place
                     if len(attempts) == 1 or isinstance(value, (list, tuple, Mapping)):
                         raise
                     raise _not_of(attempts, value, where) from None
@@ -153,7 +154,7 @@ def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
 
 
 def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every key path in nested plain data, and what stands there."""
+    """Every key path in nested plain data, and its value."""
     yield path, value
     if isinstance(value, Mapping):
         for key, item in value.items():
@@ -164,14 +165,14 @@ def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def at(value: Any, path: str) -> Any:
-    """What stands at the key path `path` in nested plain data, or None."""
+    """The value at the key path `path` in nested plain data, or None."""
     for key in path.split("."):
         value = value.get(key) if isinstance(value, Mapping) else None
     return value
 
 
 def each(value: Any, change: Callable[[Any], Any]) -> Any:
-    """The nested `value` with `change` of all in it that is neither mapping nor list."""
+    """The nested `value` with `change` applied to every leaf, what is neither mapping nor list."""
     if isinstance(value, Mapping):
         return {str(key): each(item, change) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -180,14 +181,13 @@ def each(value: Any, change: Callable[[Any], Any]) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The nested `value` as plain data, with numbers for what was typed as one, unless an option
-    took the text."""
+    """The nested `value`, with the number of each :class:`Typed`, or its text if that was taken."""
     return each(value, lambda item: item.value if isinstance(item, Typed) else item)
 
 
 def as_typed(value: Any, text: str) -> Any:
-    """`value`, with the `text` where it is a number or a truth value that does not say it. What YAML
-    alone takes for another number than a reader does (``010`` for 8, ``1:30`` for 90) is text."""
+    """`value`, or a :class:`Typed` if it is a number or truth value whose `text` is lost in it.
+    What YAML reads as a number nobody meant (``010`` as 8, ``1:30`` as 90) stays text."""
     if type(value) in (int, float) and re.match(r"[+-]?0[0-9_]|[^:]*:", text):
         return text
     says = type(value) not in (bool, int, float) or as_yaml(value) == text
@@ -195,7 +195,7 @@ def as_typed(value: Any, text: str) -> Any:
 
 
 def as_yaml(value: Any) -> str:
-    """`value` as one writes it into a configuration: ``null``, ``true``, ``[1, 2]``, ``{a: 'b'}``."""
+    """`value` as it is written in a configuration: ``null``, ``true``, ``[1, 2]``, ``{a: 'b'}``."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, Mapping):
@@ -251,10 +251,10 @@ def make_options(schema: Any, values: Any, where: str) -> Any:
 
 
 def filled(schema: type, checked: Mapping[str, Any], where: str) -> Any:
-    """The dataclass `schema` of options that are `checked`, unless it refuses them itself."""
+    """The dataclass `schema` made of `checked` options; its own range checks may refuse them."""
     try:
         return schema(**checked)
-    except ValueError as error:  # a dataclass's own range checks; they begin with the option's name
+    except ValueError as error:  # which begins with the option's name
         raise ConfigError(f"{_below(where)}{error}") from error
 
 
@@ -265,10 +265,10 @@ def check_range(
     least: float | None = None,
     most: float | None = None,
 ) -> None:
-    """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers
-    that have a least are sizes or counts, of which :data:`MANY` are the most unless `most` says
-    otherwise. A ValueError names the one that does not."""
+    """For the ``__post_init__`` of a dataclass of options: a ValueError unless each of the options
+    `names` is None, or is greater than `above`, at least `least` and at most `most`; so is each
+    value of a tuple. A whole number with a `least` is a size or a count: unless `most` says
+    otherwise, it is at most :data:`MANY`."""
     for name in names:
         given = getattr(options, name)
         for value in given if isinstance(given, tuple) else (given,):
@@ -286,7 +286,7 @@ def check_range(
                     )
 
 
-#: The most that an option which is a size or a count can be, where nothing else is said.
+#: The largest size or count that an option can be, unless it says otherwise.
 MANY = 10**6
 
 
@@ -297,8 +297,8 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`, and their defaults;
-    unknown and missing ones are errors."""
+    """`values` coerced to the types of `options`, and defaults for those not given; an unknown
+    option is an error, and so is a missing one without a default."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"

@@ -1,9 +1,9 @@
 """Random streams that depend on nothing but (seed, name, world, draw).
 
-Every consumer of randomness has a stream of its own name, so adding a consumer changes no other.
-Each world has its own sequence, so the numbers of world *i* do not depend on how many worlds there
-are. Draws are made by hashing a counter (SplitMix64's finaliser), on the device, with no host
-synchronisation; the global random states of torch, numpy and Python are never touched.
+Every consumer of randomness has a stream with a name of its own, so adding a consumer changes no
+other. Each world has its own sequence, so the numbers of world *i* do not depend on how many worlds
+there are. Draws hash a counter (SplitMix64's finaliser) on the device, without waiting for it. The
+global random states of torch, NumPy and Python are never touched.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def derive_seed(seed: int, name: str) -> int:
 
 
 def generator(seed: int, name: str, device: torch.device | str = "cpu") -> torch.Generator:
-    """A generator of the consumer's own, for draws that belong to no world (shuffles, weights)."""
+    """The consumer's own generator, for draws that belong to no world (shuffles, weights)."""
     return torch.Generator(device).manual_seed(derive_seed(seed, name))
 
 
@@ -91,7 +91,7 @@ class WorldStreams:
         return torch.cat([radius * torch.cos(angle), radius * torch.sin(angle)], dim=1)[:, :size]
 
     def give_back(self, worlds: Tensor, before: dict[str, Tensor]) -> None:
-        """Undo the draws since `before` (a :meth:`state_dict`) in `worlds` (N,), which used none."""
+        """In `worlds` (N,), which did not use them, undo the draws since the state `before`."""
         self._counter.copy_(torch.where(worlds.unsqueeze(1), before["counter"], self._counter))
 
     def state_dict(self) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""Stop signals: what Ctrl-C, a scheduler or a closed terminal ends is saved first where that matters."""
+"""Stop signals of Ctrl-C, a scheduler or a closed terminal: work is saved first."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["StopRequest", "is_stop"]
 
 @dataclass(eq=False)
 class StopRequest:
-    """Inside, stop signals are noted in `received`; `at_once` the first, else a second Ctrl-C,
-    interrupts.
+    """Inside, a stop signal is noted in `received`. The first one interrupts if `at_once`, else a
+    second Ctrl-C does.
 
-    They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next
-    outer one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored
-    where it was (``nohup``). Outside the main thread nothing happens: whoever runs us handles
-    signals. The outermost's `tell` hears of a first Ctrl-C that is noted.
+    They nest: the innermost decides. At its end, a signal that led to no PreemptedError is passed
+    to the next outer one. After one that is `for_good`, signals do nothing. SIGHUP stays ignored if
+    it was (``nohup``). Outside the main thread nothing is handled: the caller handles signals. The
+    outermost's `tell` hears of a first Ctrl-C that is only noted.
     """
 
     at_once: bool = False
     for_good: bool = False
     received: int | None = None
     tell: Callable[[str], None] = lambda text: None
-    advice: str = "Give the same command again."  #: to who stopped us
+    advice: str = "Give the same command again."  #: for the user who stopped it
 
     SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGHUP)
     _nested: ClassVar[list[StopRequest]] = []
@@ -40,13 +40,13 @@ class StopRequest:
             self._nested.append(self)
             ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
             for number in self.SIGNALS[: 3 if ignored else 4]:
-                if signal.getsignal(number) is not _note:  # anew where a library took it since
+                if signal.getsignal(number) is not _note:  # again, if a library replaced it
                     self._previous[number] = signal.signal(number, _note)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self in self._nested:
-            self._nested.remove(self)  # a generator that is closed later may have come after it
+            self._nested.remove(self)  # maybe not the last: a generator may be closed later than it
             while self._previous and not self._nested:
                 number, before = self._previous.popitem()
                 signal.signal(number, signal.SIG_IGN if self.for_good else before)
@@ -59,7 +59,7 @@ class StopRequest:
 
 
 def is_stop(error: BaseException) -> bool:
-    """Whether a stop signal raised the error, rather than some code by itself."""
+    """Whether a stop signal raised the error, rather than code that raises KeyboardInterrupt."""
     asked = any(r.received is not None for r in StopRequest._nested) or not StopRequest._nested
     return isinstance(error, KeyboardInterrupt) and asked
 
@@ -69,6 +69,6 @@ def _note(number: int, frame: object = None) -> None:
         before, request.received = request.received, request.received or number
         if before is None if request.at_once else before == number == signal.SIGINT:
             raise KeyboardInterrupt(signal.Signals(number).name)
-        if frame is not None and before is None and number == signal.SIGINT:  # as it comes, once
+        if frame is not None and before is None and number == signal.SIGINT:  # not one passed on
             text = "Stopping once this iteration is finished. A second Ctrl-C stops at once."
             StopRequest._nested[0].tell(text)

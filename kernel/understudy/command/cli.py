@@ -34,7 +34,7 @@ from understudy.signals import StopRequest
 __all__ = ["main"]
 
 _UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: of a full disk, or a full share of it
-#: Why nothing can be done with a file, not even be told whether it is there, whoever wanted to.
+#: Errors by which a file cannot be used at all, not even to find out whether it is there.
 _UNUSABLE = (*_UNPRINTED, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP)
 
 
@@ -43,19 +43,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own = arguments is None
     for stream in (sys.stdout, sys.stderr):
         if own and isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal may not have every letter
+            stream.reconfigure(errors="replace")  # a terminal may not have every character
     with StopRequest(at_once=True, for_good=own, tell=tell) as stop:
         try:
             status = _run(list(sys.argv[1:] if own else arguments) or ["--help"])
             if own and sys.stdout is not None:
-                sys.stdout.flush()  # here, where it can still be said that it was not written
+                sys.stdout.flush()  # here, where an error can still be reported
             return status
         except (Exception, KeyboardInterrupt) as error:
             if stop.received is not None and not isinstance(error, PreemptedError):
-                name = signal.Signals(stop.received).name  # whatever a library made of it
+                name = signal.Signals(stop.received).name  # whatever error a library made of it
                 error = PreemptedError(f"Stopped by {name}. {stop.advice}")
             if isinstance(error, BrokenPipeError):
-                sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the reader went away
+                sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the reader is gone
                 return 0
             if isinstance(error, OSError) and error.filename is None and error.errno in _UNPRINTED:
                 sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - nothing more goes there
@@ -63,11 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, OSError) and error.filename and error.errno in _UNUSABLE:
                 error = FileError(f"{error.filename!s:.100} cannot be used: {error.strerror}.")
             if isinstance(error, FileNotFoundError) and tempfile.tempdir is error.filename is None:
-                # Of no file in particular, and none was found for temporary ones.
+                # No file in particular: no folder was found for temporary files.
                 error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
                 raise
-            with contextlib.suppress(OSError):  # a closed terminal; and no file is quoted whole
+            with contextlib.suppress(OSError):  # a closed terminal; and a message may be long
                 print(f"understudy: {shown(str(error)):.10000}", file=sys.stderr, flush=True)
             return error.exit_status
 
@@ -75,9 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: list[str]) -> int:
     try:
         os.getcwd()
-    except OSError as error:  # without one libraries end the process
+    except OSError as error:  # without one, some libraries would end the process
         raise FileError("The working folder is not there any more. Change to another.") from error
-    # Names of files that are no options.
+    # Names of files that look like options.
     arguments = [f"./{w}" if re.match("-.*[.]", w) and os.path.exists(w) else w for w in arguments]
     parser = _parser(arguments)
     for word in arguments:
@@ -97,23 +97,23 @@ def _run(arguments: list[str]) -> int:
     if overrides:
         from understudy.setup.composition import readable
 
-        overrides = [readable(override) for override in overrides]  # as run.json is to have them
+        overrides = [readable(override) for override in overrides]  # in the form for run.json
     return options.function(options, overrides)
 
 
 def _text(name: str) -> str:
-    """What is said in the file `name` beside the kernel's options."""
+    """The text of the file `name`, which is beside the kernel's options."""
     return (plugins.kernel_conf() / name).read_text(encoding="utf-8")
 
 
 def _instead(word: str) -> str:
-    """What to write here in place of Hydra's own option `word`; empty where it is none."""
+    """What to write instead of Hydra's own option `word`; "" if it is none."""
     lines = (line.partition(": ") for line in _text("hydra.txt").splitlines())
     return next((advice for options, _, advice in lines if word in options.split()), "")
 
 
 def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
-    """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
+    """Raise :class:`ConfigError` for `words` that the `command` does not take."""
     for word, following in zip(words, [*words, ""][1:], strict=True):
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
@@ -130,7 +130,7 @@ def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Its errors are one sentence."""
+    """A parser whose errors are one sentence."""
 
     def error(self, message: str) -> NoReturn:
         if number := re.search(r"invalid (?:_?(int|count)|\w+) value: (.*)", message):
@@ -159,8 +159,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands, all of which are plugins'; only the one that is asked for is imported,
-    and there alone."""
+    """Add the commands of plugins; only the called one is imported and has its arguments."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")
@@ -192,14 +191,14 @@ def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
                     parser.usage = f"{usage} [KEY=VALUE …]"
             if type(command).writes is not Command.writes:
                 parser.add_argument("--overwrite", action="store_true", help="replace what exists")
-            parser.format_help()  # which a per cent sign in a help may be the end of
+            parser.format_help()  # which fails here, guarded, if a help has a stray per cent sign
 
         def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
             options.overrides = overrides
             for path in filter(None, command.writes(options)):
                 there = path.is_symlink() or path.exists()
                 if there and not (path.is_dir() or (options.overwrite and path.is_file())):
-                    how = ", or add --overwrite" if path.is_file() else ""  # no pipe, no device
+                    how = ", or add --overwrite" if path.is_file() else ""  # not a pipe or device
                     raise FileError(f"{path} is there already. Name another file{how}.")
             return command.run(options)
 

@@ -1,4 +1,4 @@
-"""Commands, which plugins add, and how they speak."""
+"""Commands, which plugins add, and how they write messages."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ __all__ = ["Command", "tell"]
 
 
 def tell(text: str) -> None:
-    """A message to whoever runs the command."""
-    with contextlib.suppress(OSError, RuntimeError):  # no terminal; a signal, while this prints
+    """Show a message to whoever runs the command."""
+    with contextlib.suppress(OSError, RuntimeError):  # no terminal; or a signal while this prints
         print(shown(text), file=sys.stderr, flush=True)
 
 
 class Command(ABC):
-    """A command of the command line, registered as a ``command`` named by its words: the component
-    ``motion check`` is run as ``understudy motion check``. Its summary is its help."""
+    """A command of the command line, registered as a ``command`` whose name is its words: the
+    component ``motion check`` is run as ``understudy motion check``. Its summary is its help."""
 
-    #: Whether it takes Hydra's overrides, which it finds in ``options.overrides``.
+    #: Whether it takes overrides (KEY=VALUE), which are then in ``options.overrides``.
     takes_overrides = False
     example = ""  #: A whole command line, which ``--help`` shows.
 
@@ -33,11 +33,11 @@ class Command(ABC):
         """Add the command's arguments."""
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
-        """The files that it writes where the user says. Whoever gives some has ``--overwrite``,
-        without which those that are there are refused before :meth:`run`."""
+        """The files that it writes where the user says. A command with such files has
+        ``--overwrite``; without it, files that exist are refused before :meth:`run`."""
         yield from ()
 
     @abstractmethod
     def run(self, options: argparse.Namespace) -> int:
-        """Carry it out; returns the exit status.
-        What the user can cause is raised as an :class:`UnderstudyError`."""
+        """Carry it out; returns the exit status. Errors that a user can cause are
+        UnderstudyErrors."""

@@ -1,9 +1,9 @@
 """Checkpoints: tensors as safetensors, everything else as JSON, both written atomically.
 
 A checkpoint ``NAME`` is two files: ``NAME.safetensors`` and ``NAME.json``. The JSON is written last
-and holds the digest of the tensors and of itself, so a checkpoint exists completely or not at all,
-and a changed byte is noticed. Loading executes nothing: both formats are plain data. Tensors of a
-mebibyte or more that become much smaller by it (worlds' lists with unused places) are deflated.
+and has digests of the tensors and of itself, so a checkpoint exists completely or not at all, and a
+changed byte is noticed. Loading executes nothing: both formats are plain data. Tensors of a
+mebibyte or more are deflated if that makes them much smaller (lists of worlds with unused places).
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from understudy.folders import opened, read, write_atomically
 
 __all__ = ["load", "misshapen", "newest", "save"]
 
-#: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
+#: Version of the layout that is written. Version 2, without deflated tensors, is read, too.
 FORMAT = 3
-_LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated, and of all of them together
-_LARGEST = 2**33  #: bytes of a file of tensors that is read
+_LEAST, _MOST = 2**20, 2**32  #: bytes: the least of a deflated tensor, the most of all together
+_LARGEST = 2**33  #: most bytes of a file of tensors
 _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.int64)}
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
-    """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
+    """Write the checkpoint `path` of `state`: nested mappings, lists, tensors, numbers, text."""
     file, tensor_file = _files(path)
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors, _Room())
@@ -47,12 +47,12 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     write_atomically(file, _sealed(content))
     del tensors, data
     if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
-        trim(0)  # copies as large as the state would leave more and more gaps in the heap
+        trim(0)  # else copies as large as the state would leave more and more gaps in the heap
 
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The ``(state, meta)`` of the checkpoint `path` (with or without an ending); a RunError if it is
-    missing, damaged, or of another format."""
+    """The ``(state, meta)`` of the checkpoint `path` (with or without an ending); a RunError if it
+    is missing, damaged, or of another format."""
     file, tensor_file = _files(path)
     document = read_sealed(file)
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
@@ -66,7 +66,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     try:
         with opened(tensor_file, _LARGEST) as tensor_bytes:
             digest = hashlib.file_digest(tensor_bytes, "sha256").hexdigest()
-            if digest != document.get("sha256"):  # before there is room for all of it
+            if digest != document.get("sha256"):  # before memory is taken for all of it
                 raise RunError(f"{tensor_file} is damaged: its digest does not match.")
             tensor_bytes.seek(0)
             data = tensor_bytes.read(_LARGEST)
@@ -84,7 +84,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _files(path: Path) -> tuple[Path, Path]:
-    """The two files of the checkpoint `path`, whose name may have dots of its own."""
+    """The two files of the checkpoint `path`, whose own name may have dots."""
     name = path.name.removesuffix(".json").removesuffix(".safetensors")
     if not name:
         raise RunError(f"{path} names no file. Give one: NAME, NAME.json or NAME.safetensors.")
@@ -92,22 +92,28 @@ def _files(path: Path) -> tuple[Path, Path]:
 
 
 class _Room:
-    """Bytes that deflated tensors may still take once they are read again."""
+    """How many bytes deflated tensors may still have once they are inflated."""
 
     def __init__(self) -> None:
         self._left = _MOST
 
     def take(self, size: int) -> bool:
-        """Whether a tensor of `size` bytes is deflated: it is large enough, and there is room."""
+        """Whether a tensor of `size` bytes may be deflated: it is large enough, and has room."""
         fits = _LEAST <= size <= self._left
         self._left -= size if fits else 0
         return fits
 
 
 def _sealed(content: Mapping[str, Any]) -> bytes:
-    body = json.dumps(content, allow_nan=False)  # unsorted: in some mappings the order counts
+    body = json.dumps(content, allow_nan=False)  # unsorted, as the order of some mappings matters
     digest = hashlib.sha256(body.encode()).hexdigest()
     return json.dumps({"digest": digest, "content": body}).encode()
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text} is no number of JSON")
+    return number
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
@@ -117,7 +123,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
         body = outer["content"]
         if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:
             raise RunError(f"{path} is damaged: its digest does not match.")
-        return json.loads(json.dumps(json.loads(body), allow_nan=False))  # NaN is no JSON
+        return json.loads(body, parse_float=_finite, parse_constant=_finite)
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}.") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -126,12 +132,12 @@ def read_sealed(path: Path) -> dict[str, Any]:
 
 def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Room) -> Any:
     if isinstance(value, Tensor):
-        # copies, since tensors that share memory are refused
+        # copies, since safetensors refuses tensors that share memory
         own = tensors[where] = value.detach().to("cpu", copy=True).contiguous()
         if str(own.dtype) not in _TYPES or not room.take(own.nbytes):
             return {"tensor": where}
         eighth = own.flatten().view(torch.uint8).unfold(0, 2**15, 2**18).contiguous()
-        for part, most in ((eighth, 0.9), (own, 0.75)):  # most tensors are known by an eighth
+        for part, most in ((eighth, 0.9), (own, 0.75)):  # an eighth tells enough of most tensors
             packed = zlib.compress(part.numpy().data, 1)
             if len(packed) > most * part.nbytes:
                 return {"tensor": where}
@@ -154,7 +160,7 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Roo
 def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:
     (kind, content), *_ = value.items()
     if kind == "tensor":
-        return tensors.pop(content)  # each stands in one place
+        return tensors.pop(content)  # each is in one place only
     if kind == "deflated":
         name, dtype, shape = content
         size = math.prod(shape) * _TYPES[dtype].itemsize
@@ -170,7 +176,7 @@ def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:
 
 
 def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
-    """The places at which a nested state is not what `own` is, or not finite where `own` is."""
+    """Where the nested state `other` has not the form of `own`, or is not finite while `own` is."""
     if own is None:
         return
     if _kind(own) != _kind(other):
@@ -193,14 +199,13 @@ def _kind(value: Any) -> str:
 
 def newest(folder: Path) -> list[Path]:
     """The checkpoints in `folder`, newest first, without their endings."""
-    found = [p.with_suffix("") for p in folder.glob("[0-9]*.json")]
-    return sorted(found, key=lambda p: p.name, reverse=True)
+    return [p.with_suffix("") for p in sorted(folder.glob("[0-9]*.json"), reverse=True)]
 
 
 def load_newest(
     folder: Path, warn: Any = lambda text: None
 ) -> tuple[dict[str, Any], dict[str, Any], Path]:
-    """The newest checkpoint of `folder` that is intact; `warn` is told of each damaged one."""
+    """``(state, meta, path)`` of the newest intact checkpoint; `warn` hears of damaged ones."""
     reasons = []
     for path in newest(folder):
         try:
@@ -216,8 +221,8 @@ def load_newest(
 
 
 def prune(folder: Path, keep: int, last: Path | None = None) -> None:
-    """Delete all but the `keep` newest checkpoints and the `last` that was written, and leftovers
-    of interrupted writes. What is numbered higher than the last was damaged."""
+    """Delete leftovers of interrupted writes, and all checkpoints but the `keep` newest and the
+    `last` that was written; those with a higher number than that were damaged."""
     for path in (p for p in newest(folder)[keep:] if p != last):
         path.with_suffix(".json").unlink(missing_ok=True)
     for path in folder.glob("*.safetensors"):

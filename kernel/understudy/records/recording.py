@@ -1,4 +1,4 @@
-"""What an evaluation showed of one world, for pictures and exports."""
+"""The motion of one world of an evaluation, for pictures and exports."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ __all__ = ["Recording"]
 class Recording:
     """Fields of one world, step by step."""
 
-    tracks: Mapping[str, np.ndarray]  #: by field, each (T, …); empty if the scene wants none
+    tracks: Mapping[str, np.ndarray]  #: by field, each (T, …); empty if the scene records none
     control_dt: float  #: seconds between frames
-    first_episode: int  #: frames before the world's first ending
+    first_episode: int  #: frames of the world's first episode
     scene: Scene
 
     def save(self, path: Path) -> None:

@@ -53,20 +53,21 @@ __all__ = [
 ]
 
 LAYOUT = 3  #: version of the folder's layout
-_METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it
+_METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of one of its rows
+#: What a new run's folder must not contain.
 _LEFT = ("metrics.jsonl", "evaluation*.json", "*.npz", "*.html", "*.mp4", "[!.]*/*")
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """How many processor cores this process may use."""
     asked = getattr(os, "sched_getaffinity", None)  # macOS cannot be asked
     return len(asked(0)) if asked else os.cpu_count() or 1
 
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that decide results, as they were when first asked for."""
+    """Versions of Python and of the libraries that results depend on."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -76,7 +77,7 @@ def versions() -> dict[str, str]:
 
 @dataclass
 class Run:
-    """An open run folder. At most one process trains in it; a lock file sees to that."""
+    """An open run folder. A lock file sees to it that at most one process trains in it."""
 
     path: Path
     info: dict[str, Any]
@@ -85,7 +86,7 @@ class Run:
 
     @property
     def registry(self) -> Registry:
-        """Where its parts are found: what it was composed of, else the installed plugins."""
+        """Where its parts are found: where it was composed from, else the installed plugins."""
         return self._registry or plugins.installed().registry
 
     @property
@@ -103,12 +104,13 @@ class Run:
     def experiment(
         self, registry: Registry | None = None, config: Mapping[str, Any] | None = None
     ) -> Experiment:
-        """Its configuration, or the one given, validated; its parts read the run's copies of files."""
+        """Its configuration, or `config`, validated; parts read the run's own copies of files."""
         inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 
     def lock(self) -> None:
-        """Hold the folder for this process; a RunError if another trains in it, or it leads out."""
+        """Hold the folder for this process; a RunError if another does, or a link leads out of
+        it."""
         try:
             check_within(self.path)
             self._lock = open_lock(self.path / ".lock")  # held until the run ends
@@ -124,8 +126,8 @@ class Run:
             print(text, file=sys.stderr)
 
     def check_held(self) -> None:
-        """See that the folder is still the one that :meth:`lock` holds, before writing into it; a
-        RunError if it was removed, or is another one by now."""
+        """Called before writing into the folder: a RunError if it is not the one that :meth:`lock`
+        holds any more, because it was removed or replaced."""
         if self._lock is None:
             return
         try:
@@ -150,22 +152,23 @@ class Run:
     def words(self, more: Sequence[str]) -> list[str]:
         """The overrides that made it, then `more`, to be composed; a ConfigError if one of its own
         would be filled in from this machine."""
-        from understudy.setup.composition import refuse_resolvers, replaced  # Hydra takes its time
+        # Imported here, since Hydra takes time.
+        from understudy.setup.composition import refuse_resolvers, replaced
 
         words = replaced(self.info["overrides"], more)
         refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")
         return words
 
     def judged(self) -> int | None:
-        """After how many samples it was judged and its pictures were made; None before that."""
+        """The samples after which it was judged and its pictures were made; None before that."""
         return self.info.get("judged")
 
     def newest(
         self, warn: Callable[[str], None] = lambda text: None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The ``(state, meta)`` of the newest intact checkpoint; `warn` is told of damaged ones. A
-        RunError if there is none, or it does not say after how many samples it was made."""
-        from understudy.records import checkpoint  # what needs no tensors does without torch
+        """The ``(state, meta)`` of the newest intact checkpoint; `warn` hears of damaged ones. A
+        RunError if there is none, or if it does not say after how many samples it was made."""
+        from understudy.records import checkpoint  # without tensors, torch is not imported
 
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
         progress = state.get("progress") if isinstance(state, dict) else None
@@ -177,8 +180,8 @@ class Run:
         return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
-        """The rows of the metrics file; a row cut short by a crash is left out. A RunError if it is
-        no file, or larger than any training's."""
+        """The rows of the metrics file, without one that a crash cut short. A RunError if it is no
+        file, or larger than any training makes it."""
         rows = []
         try:
             with contextlib.suppress(FileNotFoundError), opened(self.metrics_file, _METRICS) as f:
@@ -190,7 +193,7 @@ class Run:
         return [row for row in rows if isinstance(row, dict)]
 
     def keep_metrics_until(self, iteration: int) -> None:
-        """Drop rows after `iteration`: the resumed training writes them again."""
+        """Drop the rows after `iteration`, which the resumed training writes again."""
         self.check_held()
         rows = [(row, row.get("iteration")) for row in self.metrics()]
         kept = [row for row, at in rows if not isinstance(at, int) or at <= iteration]
@@ -210,8 +213,7 @@ class Run:
 
 
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
-    """Make the run folder of a new training; a RunError if it holds a run already or cannot be
-    written."""
+    """Make the run folder of a new training; a RunError if it has a run or cannot be written."""
     import torch
 
     root = experiment.root
@@ -235,12 +237,12 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     with contextlib.ExitStack() as undo:
         try:
             path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
-            refuse_a_second(path)  # before `lock` looks through all of it, as of /
+            refuse_a_second(path)  # before `lock` looks through all of it, which may be /
             path.mkdir(parents=True, exist_ok=True)
             run = Run(path, info, registry)
             run.lock()
-            refuse_a_second(path)  # that another process has made meanwhile
-            if os.listdir(path) == [".lock"]:  # whole, or not at all
+            refuse_a_second(path)  # one that another process has just made
+            if os.listdir(path) == [".lock"]:  # the folder is left whole, or not at all
                 undo.callback(shutil.rmtree, path, ignore_errors=True)
             for folder in ("checkpoints", "faults"):
                 (path / folder).mkdir(exist_ok=True)
@@ -254,7 +256,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
 
 
 def refuse_a_second(path: Path) -> None:
-    """Raise RunError if a new run in `path` would overwrite, or be taken for, what is there."""
+    """Raise RunError if a new run in `path` would overwrite what is there, or be taken for it."""
     if (path / "run.json").exists():
         raise RunError(
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
@@ -264,13 +266,13 @@ def refuse_a_second(path: Path) -> None:
     for outer in (folder for folder in above if os.path.lexists(folder / "run.json")):
         raise RunError(f"{path} is inside the run {outer}. Give run.dir a folder elsewhere.")
     for left in (file for name in _LEFT for file in path.glob(name)):
-        if left.parent.name != "inputs":  # copies of files, which a run that was killed here began
+        if left.parent.name != "inputs":  # copies of files, from a run that was killed as it began
             text = f"{path} is not new: it holds {left.relative_to(path)}, as of another run."
             raise RunError(f"{text} Give run.dir a folder that is new or empty.")
 
 
 def _free_folder(name: str) -> Path:
-    """A new folder of the next number, made at once, so that nobody else takes it."""
+    """A new folder with the next free number, made at once so that nobody else takes it."""
     stem = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
     Path("runs").mkdir(exist_ok=True)
     for number in range(1, 100_000):
@@ -282,8 +284,8 @@ def _free_folder(name: str) -> Path:
 
 
 def open_run(path: str | Path) -> Run:
-    """Open an existing run folder; a RunError if there is none, it is damaged, a part of it leads out
-    of it, or a newer understudy wrote it."""
+    """Open an existing run folder; a RunError if there is none, it is damaged, a link leads out of
+    it, or another version of understudy wrote it."""
     path = Path(path)
     file = path / "run.json"
     if not os.path.lexists(file):
@@ -298,7 +300,7 @@ def open_run(path: str | Path) -> Run:
             raise ValueError("its config is no mapping")
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
-        json.dumps([info["config"], info["sources"]], allow_nan=False)  # as checkpoints have them
+        json.dumps([info["config"], info["sources"]], allow_nan=False)  # as in checkpoints
         words = info["overrides"]
         if not (isinstance(words, list) and all(isinstance(word, str) for word in words)):
             raise ValueError("its overrides are no words")
@@ -327,7 +329,7 @@ def newest_state(path: str) -> State:
 
 
 def differences(old: Any, new: Any, where: str = "") -> list[str]:
-    """Key paths at which two nested configurations differ, with both values."""
+    """The key paths at which two nested configurations differ, with both values."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         return [
             difference

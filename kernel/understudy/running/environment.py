@@ -32,27 +32,27 @@ from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment"]
 
-#: What this step's terminations made of the episode: a failure; a success; a failure term or one
-#: that only reports.
+#: What this step's terminations made of the episode: it failed; it succeeded; a failure term, or
+#: one that only reports, holds.
 _OUTCOMES = ("failed", "succeeded", "violated")
-#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any
-#: field before this step. The outcomes are set once this step's terminations are known, so only
-#: rewards and measures may read them; ``reward`` is the step's, for measures only.
+#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, which
+#: is any field before this step. The outcomes are set once this step's terminations are known, so
+#: only rewards and measures may read them; only measures may read ``reward``.
 OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
     ("episode_time", "episode_step", "episode_limit", "difficulty", *_OUTCOMES, "reward"), ()
 )
 _PREVIOUS = "previous_"
 
-# A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
+# OpenMP would wait for threads that a forked process does not have.
 os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
 
 
 def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Run a method of the environment with settings of its own, whatever the learner has chosen.
+    """Run a method of the environment with torch's settings for physics, not the learner's.
 
     Matrix products are full float32: TF32 keeps three digits, too few for positions and rotations.
-    On the CPU there is one torch thread: the tensors are small, so more would gain nothing, and
-    idle ones of torch's pool would spin on the cores that the simulator's threads need.
+    On the CPU torch has one thread: the tensors are too small to gain from more, and idle threads
+    of its pool would spin on the cores that the simulator's threads need.
     """
 
     @functools.wraps(method)
@@ -75,17 +75,17 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _replace(kept: Tensor, value: Tensor, worlds: Tensor | None) -> None:
-    """Write `value` (N, …) into `kept`, in all worlds or where `worlds` (N,) is true."""
+    """Write `value` (N, …) into `kept`: in all worlds, or where `worlds` (N,) is true."""
     kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
 
 
 class Environment:
     """N worlds of one task.
 
-    `context` has N, device, seed, rates, and a difficulty, which is that field unless the curriculum
-    provides it. Episodes are truncated at `episode_seconds`, unless the curriculum provides
-    ``episode_limit`` (not in evaluations). `known_fields` gives the components that provide a field,
-    for errors. A ConfigError if a part reads what nothing provides, or a term has a wrong shape.
+    `context` has N, device, seed and rates, and the value of the field ``difficulty``, unless the
+    curriculum provides that. Episodes are truncated at `episode_seconds`, or at the curriculum's
+    ``episode_limit`` (except in evaluations). `known_fields` tells which components provide a
+    field, for errors. A ConfigError if a part reads a field that nothing provides.
     """
 
     def __init__(
@@ -105,8 +105,8 @@ class Environment:
         varies = parts.initial_states.varies
         self._varied = [*varies, *(n for n in set_by_curriculum if n in parameters)]
         if self._varied:
-            parts.simulator.vary(self._varied)  # which names what it does not know
-        #: The model's values of these, where an evaluation's start varies less than the task's.
+            parts.simulator.vary(self._varied)
+        #: The model's values of these, for other starts of an evaluation, which may vary fewer.
         self._model = {name: parts.simulator.read(name).clone() for name in varies}
         constants: dict[str, Shape] = {"difficulty": (), "episode_limit": ()}
         constants |= {n: s for n, s in set_by_curriculum.items() if n not in parameters}
@@ -142,19 +142,19 @@ class Environment:
             if memory.part.uniforms
         }
         self.observations: dict[str, Tensor] = {}
-        #: Fields of the states reached that a step is to bring, (N, …).
+        #: Fields of the states reached that a :class:`Step` is to contain, (N, …).
         self.next_fields: Sequence[str] = ()
         self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
-        #: Worlds quarantined since the start because their numbers went wrong.
+        #: How often a world's numbers went wrong, since the start.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
-        #: Called once, at the first numbers that go wrong in worlds (W,), with what led to it, to be
-        #: repeated: their ``worlds``, the simulator's ``snapshot`` before the decision, its
-        #: ``controls`` (K, W, U) in order, and ``substeps`` of each; None is a control period.
+        #: Called once, when numbers first go wrong in some worlds (W,), with all that it takes to
+        #: repeat it: ``worlds``, the simulator's ``snapshot`` before the decision, its ``controls``
+        #: (K, W, U) in order, and the ``substeps`` of each (None: a control period).
         self.on_quarantine: Callable[[State], None] | None = None
         #: Called before each control period.
         self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
-        #: By reward term: what it added to the last decision's reward, or multiplied it with, (N,).
+        #: By reward term: its summand, or factor, of the last decision's reward, (N,).
         self.rewarded: dict[str, Tensor] = {}
         self.rewards = Rewards(parts.rewards, parts.combine, num_worlds, device)
         self.captured_step = parts.simulator.replayed(self._step, self)
@@ -169,7 +169,7 @@ class Environment:
 
     @property
     def observation_columns(self) -> dict[str, tuple[str, ...]]:
-        """By observation the names of its columns, in order, flattened; numbers where it has none."""
+        """By observation: the names of its columns, flattened; numbers if it names none."""
         return {
             name: tuple(e.part.columns) or tuple(map(str, range(math.prod(e.part.shape))))
             for name, e in self.parts.encoders.items()
@@ -189,8 +189,8 @@ class Environment:
         return chosen or self._context.decision
 
     def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
-        """Check that every field that is read exists, leave out optional ones that do not, and make
-        the ``previous_`` ones that are."""
+        """Check that every field that is read exists, leave out optional ones that do not, and add
+        the ``previous_`` fields that are read."""
         parts, table = self.parts, self.table
 
         def exists(name: str) -> bool:
@@ -220,7 +220,7 @@ class Environment:
                 )
 
     def readers(self) -> Iterator[tuple[str, Sequence[str]]]:
-        """Every part that reads fields, by its place in the configuration, and which ones."""
+        """Every part that reads fields: its place in the configuration, and the fields."""
         parts = self.parts
         encoders, memories = parts.encoders.values(), parts.memories.values()
         for part in (*parts.fields, *encoders, parts.actuation, *memories):
@@ -234,8 +234,8 @@ class Environment:
     def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
 
-        With `seed`, the random streams begin anew too, so what follows repeats exactly; `draw`
-        names other streams of that seed, so that an evaluation begins where no training ever did.
+        With `seed`, the random streams restart too, so that what follows repeats exactly; `draw`
+        names other streams of that seed, so that an evaluation has starts that no training had.
         """
         if seed is not None:
             end = f"/{draw}" if draw else ""
@@ -263,7 +263,7 @@ class Environment:
         if self.device.type != "cpu" or bool(ended.any()):
             reached = {name: value.clone() for name, value in step.observations.items()}
             step.observations = self.begin(ended)
-            step.final_observations = {  # an unsound world's numbers must reach nothing
+            step.final_observations = {  # an unsound world's numbers must not go anywhere
                 name: torch.where(rows(step.unsound, value), step.observations[name], value)
                 for name, value in reached.items()
             }
@@ -271,8 +271,8 @@ class Environment:
 
     @_as_physics
     def advance(self, action: Tensor) -> Step:
-        """Apply `action` (N, A) for one decision and judge the states reached. They stay as they
-        are, to be read, recorded or harvested, until :meth:`begin`."""
+        """Apply `action` (N, A) for one decision and judge the states reached. These stay, to be
+        read, recorded or harvested, until :meth:`begin`."""
         parts, table = self.parts, self.table
         if not self.observations or action.shape != self.action.shape:
             raise ConfigError(f"Give actions of shape {tuple(self.action.shape)} after a reset().")
@@ -333,7 +333,7 @@ class Environment:
         return {term.name: self.evaluate(term).float() for term in self.parts.measures}
 
     def _simulate(self) -> None:
-        """One decision: control periods, of one or more sub-steps between controls."""
+        """Simulate one decision, with new controls as often as the actuation's ``every`` says."""
         actuation, simulator = self.parts.actuation.part, self.parts.simulator
         pieces = self._context.substeps if actuation.every == "substep" else 1
         length = 1 if actuation.every == "substep" else None
@@ -350,7 +350,7 @@ class Environment:
                 if self.on_quarantine is not None:
                     self._controls.append(control.clone())
                 simulator.step(applied, length)
-                self.unsound |= simulator.failed()  # the next step may hide it
+                self.unsound |= simulator.failed()  # the next step might hide it
                 self.refresh()
             self.episode_step += 1
             self.refresh()
@@ -366,7 +366,7 @@ class Environment:
         return wired.part.control(self.action, **table.pick(wired.reads))
 
     def _taken(self, name: str, memory: Wired[Memory]) -> dict[str, Tensor]:
-        """What a memory is called with: fields, and random numbers."""
+        """The arguments of a memory: fields, and random numbers."""
         given = self.table.pick(memory.reads)
         if memory.part.uniforms:
             given["uniforms"] = self._memory_streams[name].uniform(memory.part.uniforms)
@@ -375,24 +375,24 @@ class Environment:
     def _keep(
         self, part: Wired[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
     ) -> None:
-        """Keep `values`, by the part's own names, in all worlds or where `worlds` (N,) is true."""
+        """Keep the `values` of a part: in all worlds, or where `worlds` (N,) is true."""
         promises.returned(self.num_worlds, part.where, part.part.keeps, values)
         for name, field_name in part.provides.items():
             kept, value = self._kept[field_name], values[name]
             if value is kept:
-                continue  # so that what is computed from it stays
+                continue  # unchanged, so fields computed from it stay valid
             _replace(kept, value, worlds)
             self.table.put({field_name: kept})
 
     def _remember(self, worlds: Tensor | None = None) -> None:
-        """Keep the fields that are read as ``previous_``, as they are now: in all worlds or where
+        """Keep the present values of fields that are read as ``previous_``: in all worlds, or where
         `worlds` (N,) is true."""
         for name, kept in self._previous.items():
-            if kept is None:  # the first time; others of them may be computed from it
+            if kept is None:  # the first time: one of the fields below may be computed from it
                 shape = (self.num_worlds, *self.table.shapes[name])
                 self.table.put({name: torch.zeros(shape, device=self.device)})
         values = {name: self.table[name.removeprefix(_PREVIOUS)] for name in self._previous}
-        for name, value in values.items():  # only now, since they may depend on one another
+        for name, value in values.items():  # all were read, as they may depend on one another
             kept = self._previous[name]
             if kept is None:
                 kept = self._previous[name] = value.clone()
@@ -415,7 +415,7 @@ class Environment:
         }
 
     def _first(self) -> dict[str, Tensor]:
-        """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
+        """The observations after :meth:`_begin`; 0 in worlds that began unsound and fail next."""
         return {name: without_unsound(value) for name, value in self.encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:
@@ -446,7 +446,7 @@ class Environment:
         self.episode_step.masked_fill_(worlds, 0)
         self.action.masked_fill_(worlds.unsqueeze(1), 0.0)
         self.refresh()
-        self._remember(worlds)  # of fields that actuation and memories may begin from
+        self._remember(worlds)  # for actuation and memories, which may begin from such fields
         actuation = parts.actuation
         if actuation.part.keeps:
             begun = actuation.part.begin(**self.table.pick(actuation.reads))
@@ -460,7 +460,7 @@ class Environment:
         self._remember(worlds)
 
     def _hold(self, worlds: Tensor, values: Mapping[str, Tensor]) -> None:
-        """Set the constants of beginning episodes."""
+        """Set the constants of the episodes that begin."""
         for name, constant in self._constants.items():
             if name in values and not (self._context.evaluating and name == "episode_limit"):
                 _replace(constant, values[name], worlds)
@@ -492,7 +492,7 @@ class Environment:
             self.on_quarantine = None
 
     def state_dict(self) -> State:
-        """Everything that decides the future of the worlds, exactly."""
+        """Everything that the future of the worlds depends on, exactly."""
         parts = self.parts
         return {
             "simulator": parts.simulator.snapshot(),
@@ -506,7 +506,7 @@ class Environment:
         }
 
     def _tensors(self) -> dict[str, Tensor]:
-        """The environment's own lasting tensors, by a name each."""
+        """By name: the environment's own tensors that outlive a step."""
         return {
             "action": self.action,
             "episode_step": self.episode_step,

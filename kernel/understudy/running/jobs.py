@@ -1,4 +1,4 @@
-"""What a run iterates. All jobs have budget, checkpoints, progress, resume, sweeps and provenance."""
+"""What a run iterates. All jobs have budget, checkpoints, progress, resume, sweeps, provenance."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ __all__ = ["Job", "Judgement"]
 
 @dataclass(frozen=True)
 class Judgement(ABC):
-    """What an evaluation found. How episodes are counted, and what else is measured, is the job's."""
+    """What an evaluation found. The job says how episodes are counted and what else is measured."""
 
     episodes: int
     success: str = ""  #: what a success is, in words
-    success_rate: float | None = None  #: None where nothing is defined as success
+    success_rate: float | None = None  #: None if no success is defined
     mean_episode_seconds: float | None = None
-    #: False if it was stopped once success was out of reach; then the rate is the most it could be.
+    #: False if it was stopped because the criterion was out of reach; the rate is then an upper
+    #: bound.
     complete: bool = True
 
     @property
     def trials(self) -> int:
-        """How many of the episodes tell something new; intervals are of these."""
+        """How many of the episodes are independent, for confidence intervals."""
         return self.episodes
 
     @property
@@ -46,7 +47,7 @@ class Judgement(ABC):
 
     @abstractmethod
     def as_json(self, samples: int, changed: Sequence[str] = ()) -> dict[str, Any]:
-        """After so many `samples`; `changed` are overrides with which the run was not trained."""
+        """As plain data, after `samples`; `changed` are overrides that training did not have."""
 
     @abstractmethod
     def sentence(self) -> str:
@@ -56,69 +57,69 @@ class Judgement(ABC):
 class Job(ABC):
     """Reinforcement learning, an auto-encoder, a planner's networks, a harvest of states.
 
-    A component of kind ``job``, built with ``(options, experiment)``; it builds the slots that it
-    needs itself, in :meth:`prepare`. Between iterations its whole state is in :meth:`state_dict`.
+    A component of kind ``job``, built with ``(options, experiment)``. In :meth:`prepare` it builds
+    the slots that it needs. Between iterations its whole state is in :meth:`state_dict`.
     """
 
     device: torch.device
 
     @abstractmethod
     def prepare(self) -> None:
-        """Build and check what iterations need; called once, before anything is written. Evaluating
-        what another process learned does without."""
+        """Build and check what iterations need; called once, before anything is written, and not at
+        all to evaluate what another process learned."""
 
     def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:  # noqa: B027
-        """Leave what led to the first numbers that go wrong in the ``faults/`` of `run`, and `tell`
-        of it; from now on nothing if that is None."""
+        """From now on, write what led to the first numbers that go wrong into the ``faults/`` of
+        `run`, and `tell` of it; nothing if `run` is None."""
 
     @abstractmethod
     def iterate(self, samples: int) -> dict[str, Any]:
-        """One iteration, with `samples` consumed before it: its metrics, among them ``consumed``, how many
-        samples it took; where it was not training for a while, ``compiling``, s, is not counted."""
+        """One iteration, after `samples`: its metrics, among them ``consumed``, the samples that it
+        took, and perhaps ``compiling``, seconds that do not count as training."""
 
     def finished(self) -> bool:
         """Whether there is nothing left to do, whatever the budget."""
         return False
 
     def stage(self) -> str:
-        """Where it stands, in a few words for the progress line."""
+        """How far it is, in a few words for the progress line."""
         return ""
 
     def judging(self) -> str:
-        """What an evaluation would be now: an ``evaluation``, which may meet the criterion; one of
-        the job's own, by the word with which its draw begins; "" if it is not worth its while."""
+        """The kind of an evaluation made now: ``evaluation``, which may meet the criterion; a kind
+        of the job's own, which its draws are named after; "" if it would not be worth its time."""
         return "evaluation"
 
     def between(self, row: Mapping[str, Any], progress: Progress) -> Mapping[str, Any]:
-        """After each iteration, in every process: what its `row` is to say besides. For an evaluation
-        that comes sooner, ``progress.evaluated_at`` is set back."""
+        """Called after each iteration, in every process; returns what to add to its `row`. It may
+        set ``progress.evaluated_at`` back, for the next evaluation to come sooner."""
         return {}
 
     @abstractmethod
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Judgement:
-        """Judge what was learned on data of the name `draw`, which iterations never use."""
+        """Judge what was learned, on data named `draw` that iterations never use."""
 
     def record(
         self, draw: str, episodes: int, seconds: float
     ) -> tuple[Judgement, Recording | None]:
-        """As :meth:`evaluate`, recording up to `seconds` where there is something to see."""
+        """As :meth:`evaluate`, recording up to `seconds` if there is something to see."""
         return self.evaluate(draw, episodes), None
 
     def products(self, run: Run) -> None:  # noqa: B027 - most leave only their checkpoint
-        """Write what other runs take from this one (a bank of states, say) into the folder."""
+        """Write into the folder what other runs take from this one, such as a bank of states."""
 
     def sources(self) -> Mapping[str, Any]:
-        """Where its data came from, with licences."""
+        """Where its data comes from, with licences."""
         return {}
 
     def notes(self) -> Sequence[str]:
-        """What whoever starts it should know about how it is put together, in sentences."""
+        """What its user should know about this combination of parts, in sentences."""
         return ()
 
     def report(self) -> Mapping[str, int]:
-        """Counts of what went wrong since the start, by name."""
+        """By name: how often something went wrong since the start."""
         return {}
 
     @abstractmethod
@@ -126,15 +127,14 @@ class Job(ABC):
 
     @abstractmethod
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`; a RunError that names the first difference if it belongs to another
-        model, task or number of worlds."""
+        """Continue from `state`; a RunError names the first misfit of another model or task."""
 
     @abstractmethod
     def load_learned(self, state: State, samples: int) -> None:
-        """Take what is judged (a policy) from `state`, made after `samples`, without preparing."""
+        """Take what is judged (a policy) from `state`, saved after `samples`, without preparing."""
 
     def forget_worlds(self) -> None:  # noqa: B027
-        """Begin new episodes: for processes beside process 0, whose worlds the checkpoint has."""
+        """Begin new episodes, in another process than 0, whose worlds a checkpoint has."""
 
     def close(self) -> None:  # noqa: B027
         """Release what it holds."""

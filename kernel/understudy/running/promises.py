@@ -1,4 +1,4 @@
-"""The parts of a task, and whether what they return is what they promise."""
+"""The parts of a task, and checks that they return what they promise."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def returned(
 def check_initial(
     parts: Parts, num_worlds: int, varied: Sequence[str], given: Mapping[str, Tensor]
 ) -> None:
-    """What initial states and curriculum return: all that was promised, with the parameters that
+    """Check that initial states and curriculum return what they promised, with the parameters that
     are `varied`, and nothing else."""
     simulator = parts.simulator
     promised = {
@@ -87,9 +87,9 @@ def check_initial(
         )
 
 
-#: A part's place in the configuration, what it reads, and it as a function of that.
+#: A part's place in the configuration, the fields that it reads, and the function of these.
 Call = tuple[str, Mapping[str, str], Callable[..., Any]]
-#: What a part raises that is given tensors of other shapes than it was made for.
+#: What a part may raise when it is given tensors of other shapes than it was made for.
 MISFITS = (RuntimeError, LookupError, ValueError, TypeError, AttributeError)
 
 
@@ -106,7 +106,8 @@ def calls(parts: Parts, action: Tensor) -> Iterator[Call]:
 
 @torch.no_grad()
 def name_misfit(parts: Parts, table: FieldTable, action: Tensor) -> None:
-    """Raise ConfigError for a part that cannot use what its ``reads`` gives it, else what it raises."""
+    """Call every part; a ConfigError for one that cannot use the fields that its ``reads`` names
+    for it. A part that fails although nothing is renamed raises its own error."""
     for where, reads, call in calls(parts, action):
         given: dict[str, Tensor] = {}
         try:
@@ -115,10 +116,10 @@ def name_misfit(parts: Parts, table: FieldTable, action: Tensor) -> None:
         except MISFITS as error:
             other = {own: field for own, field in reads.items() if own != field}
             if reads and not given:
-                continue  # what it reads comes of another, which is named itself
+                continue  # the part that provides a field failed, which has its own turn
             shapes = [f"{field} {list(given[own].shape[1:])}" for own, field in other.items()]
             if not other or isinstance(error, torch.OutOfMemoryError):
-                raise  # it reads what it asks for, so it is the part that is at fault
+                raise  # it got the fields that it asks for, so the fault is its own
             raise ConfigError(
                 f"{where} cannot use what its reads gives it: {', '.join(shapes)}. Name fields of the "
                 "shape that it takes (`understudy describe --fields` lists them), and options that fit."
@@ -126,7 +127,7 @@ def name_misfit(parts: Parts, table: FieldTable, action: Tensor) -> None:
 
 
 def check_shapes(parts: Parts, table: FieldTable, action: Tensor) -> None:
-    """Every field's and term's shape, once; `action` (N, A)."""
+    """Check the shape of all that parts return, once; `action` (N, A)."""
     n = len(action)
     for provider in parts.fields:
         given = provider.part.compute(**table.pick(provider.reads))

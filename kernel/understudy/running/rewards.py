@@ -14,7 +14,7 @@ from understudy.task.terms import Term
 
 
 class Rewards:
-    """Combines the values of reward terms, and knows the least of those that have an exponent."""
+    """Combines the values of reward terms; keeps the least value of each that has an exponent."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class Rewards:
         device: torch.device,
     ) -> None:
         self._terms, self._summed = terms, combine == "sum"
-        #: By term of a product that has an exponent: its least value so far, (N,).
+        #: By term of a product with an exponent: its least value so far, (N,).
         self.least = {
             term.where: torch.zeros(num_worlds, device=device)
             for term in terms
@@ -32,8 +32,7 @@ class Rewards:
         }
 
     def combined(self, values: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The reward of the terms' `values`, each (N,); and by term what it adds to it,
-        or multiplies it with."""
+        """The reward of the terms' `values`, each (N,); and by term, its summand or factor."""
         given: dict[str, Tensor] = {}
         for term, value in zip(self._terms, values, strict=True):
             if term.where in self.least:

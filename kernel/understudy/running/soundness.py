@@ -1,4 +1,4 @@
-"""Whether the numbers of a world can be counted on."""
+"""Whether the numbers of a world are sound: finite, and of a sane size."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ def rows(mask: Tensor, like: Tensor) -> Tensor:
 
 
 def sound(value: Tensor) -> Tensor:
-    """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
+    """(N,) bool: whether every number in a row of `value` (N, …) is finite and of sane size."""
     size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
     return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
 
 
 def without_unsound(value: Tensor) -> Tensor:
-    """`value` (N, …), 0 in the rows where a number is not finite or of no sane size."""
+    """`value` (N, …), but 0 in rows that are not sound."""
     return torch.where(rows(sound(value), value), value, 0) if value.is_floating_point() else value

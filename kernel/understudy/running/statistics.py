@@ -1,4 +1,4 @@
-"""What is counted of episodes while they run: returns, lengths, why they ended."""
+"""What is counted while episodes run: returns, lengths, and why they ended."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class EpisodeStatistics:
         self._sums = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
     def digest(self, step: Step, seconds: Tensor) -> None:
-        """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
+        """Count one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
         ended, endings = step.ended, [step.endings[t] for t in self.terms]
         amounts = (torch.stack([seconds, step.returns]) * ended).sum(1)
         flags = [ended, step.succeeded, step.truncated, step.unsound, *endings]
         self._sums += torch.cat([amounts, (torch.stack(flags) & ended).sum(1)])
 
     def collect(self) -> dict[str, float]:
-        """Means since the last call, in seconds and shares; resets the sums. One host transfer."""
+        """Means since the last call, in seconds and shares of episodes. One host transfer."""
         sums = dict(zip(self._names, self._sums.tolist(), strict=True))
         self._sums.zero_()
         episodes = sums["episodes"]

@@ -1,4 +1,4 @@
-"""What a decision of all worlds gives."""
+"""The result of one decision in all worlds."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ __all__ = ["Step"]
 
 @dataclass
 class Step:
-    """What one decision of all worlds gave. It is overwritten by the next one."""
+    """The result of one decision in all worlds. The next one overwrites it."""
 
-    #: Of the states reached; after :meth:`Environment.step` ended worlds begin the next episode.
+    #: Of the states reached; after :meth:`Environment.step`, in ended worlds, of the next episode.
     observations: dict[str, Tensor]
     rewards: Tensor  #: (N,) float32
     terminated: Tensor  #: (N,) bool: failed or succeeded, nothing follows
@@ -21,8 +21,8 @@ class Step:
     truncated: Tensor  #: (N,) bool
     unsound: Tensor  #: (N,) bool: failed because numbers went wrong
     returns: Tensor  #: (N,) the episodes' returns up to and with this step
-    endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
-    next_fields: dict[str, Tensor]  #: those that :attr:`Environment.next_fields` names
+    endings: dict[str, Tensor]  #: by termination term: (N,) bool, whether it holds
+    next_fields: dict[str, Tensor]  #: the fields that :attr:`Environment.next_fields` names
     #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
     final_observations: dict[str, Tensor] | None = None
 

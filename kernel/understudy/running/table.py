@@ -1,4 +1,4 @@
-"""The state fields of a task: each computed when first asked for, forgotten when the state changes."""
+"""The state fields of a task: computed when first asked for, forgotten when the state changes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from understudy.task.terms import Wired
 class FieldTable:
     """Values of state fields at the present state.
 
-    Fields come from the simulator, from the environment (`own`), or from providers, which read other
-    fields. A ConfigError if two parts provide the same field, or providers need each other's fields
-    in a circle.
+    Fields come from the simulator, from the environment (`own`), or from providers, which compute
+    them from other fields. A ConfigError if two parts provide the same field, or if providers need
+    one another's fields in a circle.
     """
 
     def __init__(
@@ -25,7 +25,7 @@ class FieldTable:
     ) -> None:
         self._simulator = simulator
         self._provider: dict[str, Wired[Fields]] = {}
-        #: What is known of the present state; once that has changed, only the environment's own.
+        #: Known values of the present state; after it changed, only those of the environment's own.
         self.values: dict[str, Tensor] = {}
         self.shapes: dict[str, Shape] = {}
         self.source: dict[str, str] = {}

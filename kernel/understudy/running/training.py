@@ -1,8 +1,8 @@
 """The loop of every run: iterate a job, record, evaluate now and then, and stop for a reason.
 
 The loop knows no algorithm. Between iterations its whole state is in :meth:`Training.state_dict`,
-so a run that is stopped at any moment continues from its last checkpoint as if it had never
-stopped; on the CPU, to the last bit.
+so a run that is stopped at any moment continues from its last checkpoint as if it had not been
+stopped; on a CPU, to the last bit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import signal
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -39,11 +38,12 @@ class Progress:
 
     iteration: int = 0
     samples: int = 0
-    seconds: float = 0.0  #: of iterations, over all resumes; no evaluations, nor compiling
+    seconds: float = 0.0  #: of iterations, over all resumes; without evaluations and compiling
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
-    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being made.
+    #: The last iteration's row, if the training was stopped before the evaluation that is due after
+    #: it.
     pending: dict[str, Any] = field(default_factory=dict)
 
     def spent(self, budget: BudgetOptions) -> float:
@@ -59,13 +59,13 @@ class Progress:
 
 @dataclass
 class Reporter:
-    """Where the loop tells what happens; the command line replaces these."""
+    """To whom the loop tells what happens; by default, to nobody."""
 
     message: Callable[[str], None] = lambda text: None
     observers: Sequence[RunObserver] = field(default_factory=tuple)
 
     def notify(self, event: str, *arguments: Any) -> None:
-        """Tell the observers; one that fails is named and told nothing more."""
+        """Tell the observers. One that fails is named, and told nothing more."""
         for observer in tuple(self.observers):
             try:
                 getattr(observer, event)(*arguments)
@@ -86,17 +86,17 @@ class Training:
         self.job: Job = experiment.job.build(experiment, like=Job)
         self.progress = Progress()
         self.outcome = ""
-        #: Whether a checkpoint that was resumed is of another task, learner or judgement.
+        #: Whether the checkpoint that was resumed has another task, learner or way of judging.
         self.changed = False
 
     def prepare(self) -> Training:
-        """Build and check everything that iterations need, before anything is written."""
+        """Build and check all that iterations need, before anything is written."""
         self.job.prepare()
         return self
 
     def attach(self, run: Run | None) -> Training:
-        """Keep metrics, checkpoints and fault dumps in the folder of `run`; with None, which is for
-        the processes beside process 0, write nothing."""
+        """Write metrics, checkpoints and fault dumps into the folder of `run`; None, for processes
+        other than process 0, writes nothing."""
         self.run = run
         self.job.watch(run, lambda text: self.reporter.message(text))
         return self
@@ -105,11 +105,11 @@ class Training:
         return {**self.job.state_dict(), "progress": self.progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`, or a RunError that names the first place at which it is not as ours."""
+        """Continue from `state`; a RunError names the first place at which its form differs."""
         self._load(state, self.state_dict(), self.job.load_state_dict)
 
     def load_learned(self, state: State) -> None:
-        """Take what is to be judged from `state`, without preparing iterations."""
+        """Take from `state` what is judged, without preparing iterations."""
         own = {"progress": self.progress.state_dict()}
         self._load(state, own, lambda s: self.job.load_learned(s, s["progress"]["samples"]))
 
@@ -119,7 +119,7 @@ class Training:
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
             counts = {n: progress[n] for n, own in vars(Progress()).items() if type(own) is int}
-            counts["evaluated_at"] = abs(counts["evaluated_at"])  # set back, also before the start
+            counts["evaluated_at"] = abs(counts["evaluated_at"])  # set back, maybe below 0
             if wrong := [f"{n}={c}" for n, c in counts.items() if type(c) is not int or c < 0]:
                 raise ValueError(f"'progress' cannot be {wrong[0]}")
             load(state)
@@ -130,22 +130,22 @@ class Training:
                 "Use the configuration it was made with."
             ) from error
 
-    def save(self) -> Path:
-        run = self.run
-        assert run is not None
+    def save(self) -> None:
+        """Write a checkpoint, unless this process writes nothing."""
+        if (run := self.run) is None:
+            return
         run.check_held()
         path = run.checkpoints / f"{self.progress.iteration:08d}"
         meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
-        meta["threads"] = torch.get_num_threads()  # on which the last bits of large products depend
+        meta["threads"] = torch.get_num_threads()  # the last bits of large products depend on it
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
         self._saved_at = self.progress.seconds
-        return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run; one that was stopped before the first starts
-        from the beginning. A RunError if the checkpoint is not of a training, or does not fit; or if
-        none is left of one that was under way."""
+        """Load the newest intact checkpoint of the run; a run that was stopped before its first one
+        starts from the beginning. A RunError if the checkpoint is not of a training, or does not
+        fit, or if a training that was under way has none left."""
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
@@ -201,16 +201,16 @@ class Training:
         }
 
     def train(self) -> str:
-        """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
-        A PreemptedError after a stop signal, when everything is saved; a TrainingError when the
-        numbers leave the finite for good."""
+        """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is
+        ``finished``; returns which. A PreemptedError after a stop signal, once everything is saved;
+        a TrainingError if numbers stop being finite for good."""
         for _ in self.rows():
             pass
         return self.outcome
 
     def rows(self) -> Generator[dict[str, Any], None, None]:
-        """:meth:`train`, pausing after each iteration; a caller that stops asking leaves the run as
-        after a stop signal, saved and resumable."""
+        """As :meth:`train`, pausing after each iteration. A caller that stops early leaves the run
+        saved and resumable, as a stop signal does."""
         run, root, progress = self.run, self.experiment.root, self.progress
         self._saved_at = progress.seconds
         self.outcome = "failed"
@@ -223,7 +223,7 @@ class Training:
                 while progress.pending or not self.ended():
                     row, progress.pending = progress.pending or self.iterate(), {}
                     if distributed.rank() == 0 and stop.received is None:
-                        with contextlib.suppress(KeyboardInterrupt):  # noted by `stop`, too
+                        with contextlib.suppress(KeyboardInterrupt):  # `stop` has it, too
                             row |= self._evaluate_if_due()
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
                     if stopping and distributed.decided(int(self._due() != ""), self.job.device):
@@ -234,7 +234,7 @@ class Training:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
                     due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
-                    if run is not None and (due or stopping):
+                    if due or stopping:
                         self.save()
                     if stopping:
                         raise self._preempted(stop.received)
@@ -242,11 +242,10 @@ class Training:
                         yield row
                     except GeneratorExit:
                         self.outcome = "stopped"
-                        if run is not None:
-                            self.save()
+                        self.save()
                         raise
+                self.save()
                 if run is not None:
-                    self.save()
                     self.job.products(run)
             finally:
                 if run is not None:
@@ -262,10 +261,10 @@ class Training:
         )
 
     def ended(self) -> bool:
-        """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
+        """Whether there is nothing left to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
         progress, minutes = self.progress, self.experiment.root.budget.minutes or math.inf
-        # Not begun is what, as long as those before it, would end after the time.
+        # An iteration as long as those before it is not begun if it would end after the time.
         late = progress.seconds * (1 + 1 / max(progress.iteration, 1)) > 60 * minutes
         spent = progress.spent(self.experiment.root.budget) >= 1 or late
         own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
@@ -274,13 +273,13 @@ class Training:
         return choice > 0
 
     def _due(self) -> str:
-        """What kind of evaluation it is time for; "" for none, or if none is worth its while."""
+        """The kind of evaluation that is due; "" if none is, or none is worth its time."""
         waited = self.progress.samples - self.progress.evaluated_at
         return self.job.judging() if waited >= self.experiment.root.evaluation.every else ""
 
     def _evaluate_if_due(self) -> dict[str, float]:
-        """Evaluate now and then; the criterion is met when it holds on one draw of starts and then
-        on a second, larger one. Returns the figures for the row of metrics."""
+        """Evaluate if it is time; returns the figures for the row of metrics. The criterion is met
+        if it holds on one draw of starts and then on a second, larger one."""
         options, progress, met = self.experiment.root.evaluation, self.progress, False
         if not (kind := self._due()):
             return {}
@@ -296,7 +295,7 @@ class Training:
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Judgement:
         draw = f"{kind}/{self.progress.evaluations + 1}"
         least = 0.0 if criterion and not self.experiment.root.evaluation.give_up else criterion
-        with StopRequest(at_once=True):  # it may take minutes, and can be made again
+        with StopRequest(at_once=True):  # it may take minutes, and can be repeated
             evaluation = self.job.evaluate(draw, episodes, give_up_below=least)
         self.reporter.message(
             f"{kind.capitalize()} at {self.progress.samples:,} samples: {evaluation.sentence()}"
@@ -304,8 +303,7 @@ class Training:
         return evaluation
 
     def judge(self, record_seconds: float | None = None) -> tuple[Judgement, Recording | None]:
-        """The last evaluation, on starts that no other evaluation drew;
-        recorded for `record_seconds`."""
+        """The last evaluation, on starts of its own; `record_seconds` of it are recorded."""
         episodes = self.experiment.root.evaluation.final_episodes
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
@@ -316,7 +314,7 @@ class Training:
 
 
 def _meaning(config: Any) -> dict[str, Any]:
-    """What of a run's configuration says what is learned and judged, not where and for how long."""
+    """What a configuration says about what is learned and judged, not where or for how long."""
     aside = ("run", "budget", "checkpoint", "device")
     known = config.items() if isinstance(config, Mapping) else ()
     return {k: v for k, v in known if k not in aside}

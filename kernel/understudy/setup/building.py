@@ -1,10 +1,11 @@
-"""From a validated experiment to running parts: sections, scene, simulator, then the rest."""
+"""Building what a validated experiment describes: sections, scene, simulator, then the rest."""
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,12 +14,12 @@ import torch
 from understudy.errors import ConfigError, PluginError
 from understudy.running.environment import Environment
 from understudy.running.promises import Parts
-from understudy.setup.config import Chosen, Experiment, Noting
+from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, Scene
 from understudy.task.terms import Term, Wired, make_term, renamed
 
-__all__ = ["Built", "build_environment", "build_sections", "device_of"]
+__all__ = ["Built", "build_environment", "build_scene", "build_sections", "device_of"]
 
 
 @dataclass
@@ -31,7 +32,7 @@ class Built:
 
 
 def device_of(name: str) -> torch.device:
-    """The torch device `name`, or an error that says why it cannot be used."""
+    """The torch device `name`; or a ConfigError that says why it cannot be used."""
     if not re.fullmatch(r"cpu(:0)?|cuda(:[0-9]+)?", name):
         raise ConfigError(f"device={name} is no device. Use cpu, cuda, or cuda:1.")
     device = torch.device(name)
@@ -46,13 +47,40 @@ def device_of(name: str) -> torch.device:
 
 
 def build_sections(experiment: Experiment) -> dict[str, Any]:
-    """What the config sections of plugins become."""
-    registry = experiment.registry
-    built = {
-        name: registry.sections[name].build.make(object, options, registry, experiment.inputs)
-        for name, options in experiment.sections.items()
-    }
-    return Noting(built, experiment.asked)
+    """By name, the object built from each config section."""
+    registry, built = experiment.registry, copy.copy(experiment.sections)  # a dict, or alike
+    for name, options in experiment.sections.items():
+        build = registry.sections[name].build
+        built[name] = build.make(object, options, registry, experiment.inputs)
+    return built
+
+
+def _context(
+    experiment: Experiment, device: torch.device, sections: Mapping[str, Any] | None
+) -> Context:
+    """The context of `experiment` for one world; `sections` are built unless they are given."""
+    root = experiment.root
+    return Context(
+        seed=root.seed,
+        device=device,
+        num_worlds=1,
+        control_dt=1.0 / root.control.frequency,
+        substeps=root.control.substeps,
+        decision=root.control.decision,
+        own_substeps=root.control.substeps,
+        registry=experiment.registry,
+        sections=build_sections(experiment) if sections is None else sections,
+        chosen=experiment.choices,
+        inputs=experiment.inputs,
+    )
+
+
+def build_scene(experiment: Experiment, sections: Mapping[str, Any] | None = None) -> Context:
+    """A context of one world on the CPU with the scene of `experiment`, to be shown or measured,
+    and no simulator; `sections` are those that the scene needs, if not all."""
+    context = _context(experiment, torch.device("cpu"), sections)
+    context.scene = experiment.need("scene").build(context)
+    return context
 
 
 def build_environment(
@@ -65,27 +93,16 @@ def build_environment(
     evaluating: bool = False,
     substeps: int | None = None,
 ) -> Built:
-    """Build the environment of `experiment`; the keyword arguments replace its own values.
+    """Build the environment of `experiment`; keyword arguments replace its own values.
 
-    When `evaluating`, the curriculum stands at the target difficulty, and failure terms that
-    ``evaluation.failures`` does not name are only reported.
+    When `evaluating`, the curriculum is at the target difficulty, and failure terms that
+    ``evaluation.failures`` does not name only report.
     """
-    root, registry = experiment.root, experiment.registry
-    context = Context(
-        seed=root.seed,
-        device=device_of(root.device),
-        num_worlds=root.num_worlds if num_worlds is None else num_worlds,
-        control_dt=1.0 / root.control.frequency,
-        substeps=root.control.substeps if substeps is None else substeps,
-        decision=root.control.decision,
-        difficulty=root.difficulty,
-        evaluating=evaluating,
-        own_substeps=root.control.substeps,
-        registry=registry,
-        sections=sections or build_sections(experiment),
-        chosen=experiment.choices,
-        inputs=experiment.inputs,
-    )
+    root = experiment.root
+    context = _context(experiment, device_of(root.device), sections)
+    context.num_worlds = root.num_worlds if num_worlds is None else num_worlds
+    context.substeps = context.substeps if substeps is None else substeps
+    context.difficulty, context.evaluating = root.difficulty, evaluating
     context.scene = scene or experiment.need("scene").build(context)
     simulator = context.simulator = experiment.need("simulator").build(context)
 
@@ -129,7 +146,7 @@ def build_environment(
         parts,
         context,
         episode_seconds=root.episode.seconds if episode_seconds is None else episode_seconds,
-        known_fields=lambda name: list(providers_of(name, registry)),
+        known_fields=lambda name: list(providers_of(name, experiment.registry)),
     )
     context.action_space = parts.actuation.part.action_space
     context.observation_shapes = environment.observation_shapes
@@ -139,7 +156,7 @@ def build_environment(
 
 
 def build_term(chosen: Chosen, context: Context) -> Term:
-    """The term's function with its options bound; a class is built first and then called."""
+    """The term: a function with its options, or an instance of a class, which is called alike."""
     function, options = chosen.component.factory, chosen.options
     if isinstance(function, type):
         function, options = chosen.build(context), None
@@ -148,7 +165,7 @@ def build_term(chosen: Chosen, context: Context) -> Term:
     return make_term(chosen.where, chosen.name, function, options or {}, **chosen.extras)
 
 
-#: By kind: the attribute of its components' classes that says which fields they give.
+#: By kind: the attribute in which its components' classes declare the fields that they provide.
 _GIVES = {
     "fields": "provides", "curriculum": "provides", "memory": "keeps", "actuation": "keeps",
     "initial_states": "episode_fields", "simulator": "fields",
@@ -156,9 +173,9 @@ _GIVES = {
 
 
 def providers_of(field: str, registry: Registry) -> Iterator[str]:
-    """The registered components that say they provide the state field `field`."""
+    """The registered components that declare that they provide the state field `field`."""
     for (kind, name), component in registry.components.items():
         if kind in _GIVES:
-            with contextlib.suppress(PluginError):  # one that cannot be used here is no advice
+            with contextlib.suppress(PluginError):  # one that cannot be imported is no advice
                 if field in (getattr(component.factory, _GIVES[kind], None) or {}):
                     yield f"{kind} '{name}'"

@@ -38,7 +38,7 @@ __all__ = [
 
 @contextlib.contextmanager
 def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
-    """Inside, Hydra's errors about `overrides` become ours."""
+    """Checks `overrides`; inside, Hydra's errors about them become ours."""
     _check_length("".join(overrides), 10)
     for override in overrides:
         _check(override, plugins)
@@ -48,7 +48,7 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         raise ConfigError(_plain(error, plugins, overrides) + plugins.registry.absent()) from error
 
 
-#: ``[1] walk.bvh``: more than a list, a mapping or a quotation.
+#: A list, a mapping or a quotation with something after it: ``[1] walk.bvh``.
 _MORE = r"""(\[[^\[\]]*\]|\{[^{}]*\}|'[^']*'|"[^"]*")[^\s,'"\]}][^,]*|(\[[^\[\]]*\]|\{[^{}]*\})\s[^,:]*"""
 _LONGEST = 10_000  #: characters of an override
 _LONGEST_KEY = 255  #: bytes, as of a file's name
@@ -56,8 +56,8 @@ _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
 def _check_length(text: str, overrides: int = 1) -> None:
-    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in
-    which Hydra reads one grows with the square of its length."""
+    """Raise :class:`ConfigError` if `text` is longer than so many `overrides` may be: Hydra's time
+    to read one grows with the square of its length."""
     if len(text) > overrides * _LONGEST:
         raise ConfigError(
             f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are "
@@ -66,7 +66,7 @@ def _check_length(text: str, overrides: int = 1) -> None:
 
 
 def readable(override: str) -> str:
-    """`override` with its value quoted where it is outside Hydra's grammar, as names of files may be."""
+    """`override`, its value quoted if Hydra's grammar lacks it, as it lacks many names of files."""
     key, equals, value = override.partition("=")
     if not equals or _PLAIN.fullmatch(override) or key != key.strip():
         return override
@@ -98,8 +98,8 @@ def readable(override: str) -> str:
 
 
 def _each_word(value: str, mend: Callable[[str], str]) -> str:
-    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word
-    in it that is not quoted. Brackets after an equals sign are the word's own."""
+    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` applied to
+    each word that is not quoted. Brackets after an equals sign belong to the word."""
     result, word, depth, quote, within, keys = "", "", 0, "", [""], [set[str]()]
 
     def ended() -> str:
@@ -127,7 +127,7 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
 
 
 def _check(override: str, plugins: Plugins) -> None:
-    """Raise :class:`ConfigError` for what is no single assignment."""
+    """Raise :class:`ConfigError` unless `override` is a single assignment."""
     if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
         raise ConfigError(f"{override}: Hydra itself cannot be configured. Remove it.")
     key, equals, value = override.partition("=")
@@ -170,8 +170,7 @@ def _check(override: str, plugins: Plugins) -> None:
 
 
 def _leads_out(name: Any) -> bool:
-    """Whether a group or an option is named by a path out of the folders of options, or by what is
-    still to be resolved."""
+    """Whether the `name` of a group or an option leads out of the folders, or is to be resolved."""
     text = str(name) if isinstance(name, (str, QuotedString)) else ""
     return Path(text).is_absolute() or ".." in Path(text).parts or "${" in text
 
@@ -180,8 +179,8 @@ _RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
 
 
 def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
-    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would
-    be filled in from this machine (``${oc.env:NAME}``)."""
+    """Raise :class:`ConfigError` for overrides of a stranger, found in `of`, that would be filled
+    in from this machine (``${oc.env:NAME}``)."""
     for override in overrides:
         if _RESOLVER.search(override):
             raise ConfigError(
@@ -190,7 +189,7 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 
 
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
-    """Hydra's error in one line, with a suggestion where an option was not found."""
+    """Hydra's error in one line; with a suggestion if an option was not found."""
     if isinstance(error, RecursionError):
         words = " ".join(overrides)[:200]
         return f"{words}: a file of these options builds on itself, or is nested too deep."
@@ -220,10 +219,10 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
 
 
 def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
-    """That `path` needs a value, and which: what the files that `overrides` choose, or those that
-    these build on, say of it in a comment ``# needs PATH: …``."""
+    """The error for a `path` without a value. The files that `overrides` choose, or files that
+    these build on, may say what it takes, in a comment ``# needs PATH: …``."""
     choices = [tuple(o.lstrip("+").partition("=")[::2]) for o in overrides]
-    for group, name in choices:  # grows
+    for group, name in choices:  # to which files are added that they build on
         file = options(plugins, group).get(name) if group.isidentifier() else None
         text = file.read_text(encoding="utf-8") if file else ""
         said = re.search(rf"^# needs {re.escape(path)}: (.*(?:\n#   .*)*)", text, re.MULTILINE)
@@ -234,8 +233,8 @@ def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
 
 
 def options(plugins: Plugins, group: str) -> dict[str, Path]:
-    """The options that files offer for `group`, as one types them, and their files. Those whose
-    name begins with an underscore are for other files to build on."""
+    """By name as one types it: the files of options for `group`. Those whose name begins with an
+    underscore are only for other files to build on."""
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
         for _, folder in plugins.folders()
@@ -248,12 +247,12 @@ _VALUES = KEYS - {"task", "reward", "termination"}
 
 
 def _is_value(key: str, plugins: Plugins) -> bool:
-    """Whether what is written after `key` is its value, no option's name."""
+    """Whether `key` is set to a value, rather than to the name of a file."""
     return key in _VALUES or (key in plugins.registry.sections and not options(plugins, key))
 
 
 def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
-    """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions;
+    """`overrides` as Hydra takes them. It may set options that no file mentions (``a.b=value``):
     validation knows which ones exist."""
     result = []
     for override in overrides:
@@ -271,7 +270,7 @@ _NUMERAL = re.compile(r"[+-]?([\d.][\d_.]*(e[+-]?\d[\d_]*)?|inf|nan|true|false)"
 
 
 def _as_typed(word: str, sets: bool) -> str:
-    """`word`; in quotes if it is a number whose value does not say it, or names a file (not `sets`)."""
+    """`word`; quoted if it is a number whose text is kept, or, unless it `sets`, a file's name."""
     if not _NUMERAL.fullmatch(word):
         return word
     if not sets:
@@ -282,9 +281,9 @@ def _as_typed(word: str, sets: bool) -> str:
 def split_overrides(
     overrides: Sequence[str], plugins: Plugins
 ) -> tuple[list[str], dict[str, str], set[str]]:
-    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a
-    section whatever else chooses it, since Hydra has no null for a group of options; and the groups
-    for which an override chooses a file (``policy=mlp``)."""
+    """Three kinds of overrides: those that Hydra applies; by key, those that empty a slot or a
+    section (``policy=null``), for which Hydra has no word; and, of the first, the groups for which
+    a file is chosen (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}
@@ -301,7 +300,7 @@ def split_overrides(
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
-    """`overrides`, then `by`, without those of the former that the latter set anew."""
+    """`overrides` without those that `by` sets, then `by`."""
     new = {*map(_key, by)}
     return [*(o for o in overrides if _key(o) not in new), *by]
 
@@ -313,9 +312,9 @@ def _key(override: str) -> str:
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
-    A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
-    set it: what the task or experiment says of its own choice is not mixed in. A ConfigError if Hydra
-    cannot compose it, or it contains a key that names code.
+    A part that an override chooses (``policy=mlp``) has what its file and other overrides set; what
+    the task or experiment sets for its own choice is not mixed in. A ConfigError if Hydra cannot
+    compose it, or if a key names code.
     """
     plugins = plugins or installed()
     overrides = [readable(o) for o in ([overrides] if isinstance(overrides, str) else overrides)]
@@ -325,11 +324,11 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         config = compose(folders, for_hydra(kept, plugins), own=chosen)
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     refuse_code(raw)
-    # Copied, since a key that takes another's value (``${…}``) may be of another type.
+    # Leaves are copied, since two keys that share one (``${…}``) may have different types.
     given = each(raw, copy.copy) | dict.fromkeys(emptied)
     for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
-    with contextlib.suppress(UnderstudyError):  # this only finds what is taken as text
+    with contextlib.suppress(UnderstudyError):  # which notes what is taken as text
         if given != plain(given):
             validate(given, plugins.registry)
     return plain(given)

@@ -1,10 +1,10 @@
-"""A configuration that is valid: its components are found, and its options have the right types."""
+"""A valid configuration: every component is found, every option has the right type."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,36 +13,12 @@ from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
 from understudy.options import at, plain
 from understudy.setup.registry import Component, Registry
-from understudy.setup.root import KEYS, Root
+from understudy.setup.root import Root
 
 __all__ = ["Chosen", "Experiment"]
 
-#: What a run iterates whose configuration names no job.
+#: The job of a configuration that names none.
 USUAL_JOB = "reinforcement"
-
-
-class Noting(dict[str, Any]):
-    """A mapping that notes which of its keys were `asked` for."""
-
-    def __init__(self, items: Mapping[str, Any], asked: set[str]) -> None:
-        super().__init__(items)
-        self._asked = asked
-
-    def __getitem__(self, key: str) -> Any:
-        self._asked.add(key)
-        return super().__getitem__(key)
-
-    def get(self, key: str, default: Any = None) -> Any:
-        self._asked.add(key)
-        return super().get(key, default)
-
-
-class NotingRoot(Root):
-    """Notes which of its keys are asked for in its ``asked``, from when it has that."""
-
-    def __getattribute__(self, key: str) -> Any:
-        object.__getattribute__(self, "__dict__").get("asked", set()).add(key)
-        return super().__getattribute__(key)
 
 
 @dataclass(frozen=True)
@@ -56,13 +32,13 @@ class Chosen:
     extras: Mapping[str, Any] = field(default_factory=dict)  #: what its kind takes besides
 
     def build(self, *context: Any, like: type | None = None) -> Any:
-        """The component of these options; `context` is what its kind is built with, and `like` the
-        interface of kinds that are not the kernel's; those are called as their kinds."""
+        """Build the component with its options and the `context` that its kind takes. `like` is the
+        interface of a kind that is a plugin's; the kernel's interfaces are named as their kinds."""
         named = getattr(task, self.component.kind.title().replace("_", ""), object)
         return self.component.make(like or named, self.options, *context)
 
     def effective(self) -> dict[str, Any]:
-        """As configuration, every default filled in."""
+        """As plain data, every default filled in."""
         options: dict[str, Any] = self.options or {}
         if dataclasses.is_dataclass(self.options) and not isinstance(self.options, type):
             options = dataclasses.asdict(self.options)
@@ -76,21 +52,20 @@ class Experiment:
 
     root: Root
     choices: Mapping[str, tuple[Chosen, ...]]  #: by slot
-    sections: Mapping[str, Any]
+    sections: dict[str, Any]  #: their options, by name
     registry: Registry
     inputs: Inputs = field(default_factory=Inputs)
-    asked: set[str] = field(default_factory=set)  #: what of all this somebody has read, since then
 
     def one(self, slot: str) -> Chosen | None:
         """What fills `slot`, which takes one component."""
         return next(iter(self.choices[slot]), None)
 
     def many(self, slot: str) -> tuple[Chosen, ...]:
-        """What fills `slot`, by name in the order of the configuration."""
+        """What fills `slot`, in the order of the configuration."""
         return self.choices[slot]
 
     def need(self, slot: str) -> Chosen:
-        """What fills `slot`; an error says that it must be set."""
+        """What fills `slot`; a ConfigError if nothing does."""
         chosen = self.one(slot)
         if chosen is None:
             kind = self.registry.slots[slot].kind
@@ -102,7 +77,7 @@ class Experiment:
 
     @property
     def job(self) -> Chosen:
-        """What a run of it iterates: what it names, else reinforcement learning."""
+        """What a run iterates: the job that is named, else reinforcement learning."""
         found = self.one("job")
         return found or Chosen("job", self.registry.find("job", USUAL_JOB, "job"), None, "job")
 
@@ -127,28 +102,18 @@ class Experiment:
         named = self.root.evaluation.failures
         if named is None:
             return tuple(t.name for t in terms if t.extras["outcome"] == "failure")
-        names = {t.name for t in terms}
-        for failure in named:
-            if failure not in names:
-                raise ConfigError(
-                    f"evaluation.failures names '{failure}', which is no termination term of this "
-                    f"task.{suggestion(failure, names)}"
-                )
+        for name in named:
+            _find(name, [t.name for t in terms], "termination term", "evaluation.failures")
         return named
 
     def need_measure(self, name: str, where: str) -> None:
         """Raise :class:`ConfigError` if there is no measure `name`, which `where` asks for."""
-        names = [m.name for m in self.many("measure")]
-        if name not in (*names, "return"):
-            raise ConfigError(
-                f"{where} names '{name}', which is no measure of this task."
-                + suggestion(name, [*names, "return"])
-            )
+        _find(name, [*(m.name for m in self.many("measure")), "return"], "measure", where)
 
     def effective(self) -> dict[str, Any]:
-        """The configuration as plain data, every default filled in; validates to the same, also
-        where plugins that it does not use are absent."""
-        root, choices = Root(**{k: vars(self.root)[k] for k in KEYS}), dict(self.choices)  # unnoted
+        """The configuration as plain data, every default filled in. Validating that gives the same
+        experiment, even where plugins that it does not use are missing."""
+        root, choices = Root(**vars(self.root)), dict(self.choices)  # plain, whatever those are
         found = plain(dataclasses.asdict(root))
         for slot in self.registry.slots.values():
             chosen = choices[slot.name]
@@ -162,3 +127,9 @@ class Experiment:
         for name, options in self.sections.items():
             found[name] = plain(dataclasses.asdict(options))
         return found
+
+
+def _find(name: str, known: Sequence[str], what: str, where: str) -> None:
+    if name not in known:
+        advice = suggestion(name, known)
+        raise ConfigError(f"{where} names '{name}', which is no {what} of this task.{advice}")

@@ -1,8 +1,7 @@
-"""Hydra's composing from files of options, less its own settings and its reading the same file twice.
+"""Composing files of options: Hydra chooses the files, and their content is merged here.
 
-Hydra chooses the files. What they say is merged here, with numbers as they were typed beside their
-values. Its compose API knows values alone, and adds thirteen files for launchers, sweepers and
-logging to the seven that a composition needs, and throws them away.
+Hydra's own compose API would lose how numbers were typed. It would also read thirteen files about
+launchers, sweepers and logging beside the seven that a composition needs, only to drop them.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from stat import S_ISREG
 from typing import Any
 
 import yaml
-from hydra import version
+from hydra import version as hydra_version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
@@ -36,20 +35,20 @@ from understudy.options import as_typed, each, plain
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
-#: A file's path, time of change, size and number.
-State = tuple[str, int, int, int]
-#: What was read: which files a file builds on, and what else it says.
-_read: dict[State, tuple[ConfigResult, dict[str, Any]]] = {}
-#: What was merged, by folders, overrides that choose files and groups of their own: the files that
-#: were asked for, and it.
-_merged: dict[tuple[str | None, ...], tuple[dict[str, State | None], DictConfig]] = {}
-#: Stands before a number in a word of the command line, whose text is to be kept beside its value.
+#: A version of a file: its path, time of change, size and inode.
+Version = tuple[str, int, int, int]
+#: What was read of each: which files it builds on, and its other content.
+_read: dict[Version, tuple[ConfigResult, dict[str, Any]]] = {}
+#: What was merged, by folders, overrides that choose files, and groups that stand alone: the
+#: versions of all files that were asked for, and the result.
+_merged: dict[tuple[str | None, ...], tuple[dict[str, Version | None], DictConfig]] = {}
+#: Marks a number on the command line whose text is kept beside its value.
 MARK = "\ue000"
 
 
 @functools.lru_cache(1024)
 def parsed(override: str) -> Override:
-    """What Hydra reads in it; a HydraException or RecursionError if it can read nothing."""
+    """The override as Hydra reads it; a HydraException or RecursionError if it cannot."""
     try:
         return OverridesParser.create().parse_overrides([override])[0]
     except ValueError as error:  # of a number with more digits than Python reads
@@ -57,7 +56,7 @@ def parsed(override: str) -> Override:
 
 
 class _Loader(get_yaml_loader()):
-    """OmegaConf's, with numbers as they are typed, and keys that are text."""
+    """OmegaConf's loader, but with numbers as they were typed, and keys that are text."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         value = super().construct_object(node, deep)
@@ -69,48 +68,51 @@ class _Loader(get_yaml_loader()):
 
 
 class OptionFiles(ConfigRepository):
-    """The files in `folders`, for one composition; one that has not changed is not parsed anew."""
+    """The files in `folders`, for one composition. A file is parsed again only if it changed."""
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
-        self.states: dict[str, State | None] = {}  #: by name, of all files that were asked for
+        self.versions: dict[str, Version | None] = {}  #: by name, of all files that were asked for
 
     def group_exists(self, config_path: str) -> bool:
         return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        found, _ = self._found(config_path) or (None, {})  # Hydra changes the list of it
+        found, _ = self._found(config_path) or (None, {})
         return found and replace(found, defaults_list=copy.deepcopy(found.defaults_list))
 
     def content(self, default: ResultDefault) -> dict[str, Any]:
-        """What the file of that choice says, at the place where it is put."""
+        """The content of the chosen file, at the place where it goes."""
         _, content = self._found(default.config_path or "") or (None, {})
         for key in reversed((default.package or "").split(".")):
             content = {key: content} if key not in ("", "_global_") else content
         return content
 
     def _found(self, config_path: str) -> tuple[ConfigResult, dict[str, Any]] | None:
-        state = self.states[config_path] = self.states.get(config_path) or self._state(config_path)
-        if state and state not in _read:
-            text = Path(state[0]).read_text(encoding="utf-8-sig")
+        version = self.versions.get(config_path) or self.version(config_path)
+        self.versions[config_path] = version
+        if version and version not in _read:
+            file = Path(version[0])
+            text = file.read_text(encoding="utf-8-sig")
             try:
                 content = _Loader(text).get_single_data() or {}
             except yaml.YAMLError as error:
                 said = " ".join(str(error).split())[:300]
-                raise ConfigError(f"{state[0]} cannot be read: {said}. Correct it.") from error
+                raise ConfigError(f"{file} cannot be read: {said}. Correct it.") from error
             if not isinstance(content, dict):
-                raise ConfigError(f"{state[0]} is no mapping of keys to values. Write KEY: VALUE.")
+                raise ConfigError(f"{file} is no mapping of keys to values. Write KEY: VALUE.")
             chosen = OmegaConf.create({"defaults": plain(content.pop("defaults", []))})
             named = self._extract_defaults_list(config_path, chosen)
             defaults = self._create_defaults_list(config_path, named)
             header = ConfigSource._get_header_dict(text[:512])
-            _read[state] = ConfigResult("understudy", state[0], chosen, header, defaults), content
-        return _read[state] if state else None
+            result = ConfigResult("understudy", str(file), chosen, header, defaults)
+            _read[version] = result, content
+        return _read[version] if version else None
 
-    def _state(self, config_path: str) -> State | None:
-        """The first file of that name, and what changes when its content does."""
+    def version(self, config_path: str) -> Version | None:
+        """That of the first file of this name."""
         name = f"/{config_path.removesuffix('.yaml')}.yaml"
-        with contextlib.suppress(OSError, ValueError):  # it just went, or no file can be named so
+        with contextlib.suppress(OSError, ValueError):  # it is gone, or no file has such a name
             for file in (source.path + name for source in self.sources):
                 if os.access(file, os.F_OK) and S_ISREG((found := os.stat(file)).st_mode):
                     return (file, found.st_mtime_ns, found.st_size, found.st_ino)
@@ -119,7 +121,7 @@ class OptionFiles(ConfigRepository):
 
 def choices(files: OptionFiles, overrides: Sequence[str]) -> DefaultsList:
     """The files that ``config.yaml`` and `overrides` choose, and which overrides set values."""
-    version.setbase("1.3")
+    hydra_version.setbase("1.3")
     return create_defaults_list(
         files, "config", [parsed(o) for o in overrides], prepend_hydra=False, skip_missing=False
     )
@@ -128,26 +130,26 @@ def choices(files: OptionFiles, overrides: Sequence[str]) -> DefaultsList:
 def compose(
     folders: Iterable[Path], overrides: Sequence[str], own: Collection[str] = ()
 ) -> DictConfig:
-    """What Hydra composes from the files in `folders`, whatever its errors; a number of which its
-    value does not say how it was typed is a :class:`understudy.options.Typed`.
+    """What Hydra composes from the files in `folders`, with Hydra's errors; a number whose value
+    loses how it was typed is a :class:`understudy.options.Typed`.
 
-    Of the groups `own` nothing is taken but what their own files say. A component that an override
-    names (``policy={name: …}``) takes the place of what stands there, which Hydra would merge.
+    Of the groups `own`, only their own files count. A component that an override names
+    (``policy={name: …}``) replaces what is there; Hydra would merge the two.
     """
     files = OptionFiles(folders)
     read = [parsed(override) for override in overrides]
     values = Overrides(files, read).config_overrides
     chosen = (o.input_line for o in read if o not in values)
     key = (*(s.path for s in files.sources), None, *chosen, None, *sorted(own))
-    states, config = _merged.get(key, ({}, None))
-    if not config or any(files._state(name) != state for name, state in states.items()):
+    versions, config = _merged.get(key, ({}, None))
+    if not config or any(files.version(name) != old for name, old in versions.items()):
         content: dict[str, Any] = {}
         for default in choices(files, overrides).defaults:
             others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
             said = files.content(default)
             content = _laid(content, {k: v for k, v in said.items() if k not in others})
         config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
-        _merged[key] = files.states, config
+        _merged[key] = files.versions, config
     config = copy.deepcopy(config)
     for override in values:
         value = each(override.value(), _number)
@@ -159,14 +161,14 @@ def compose(
 
 
 def _laid(old: Any, new: Any) -> Any:
-    """`new` laid over `old`: mappings are merged, and all else is replaced."""
+    """`new` over `old`: mappings are merged, anything else is replaced."""
     if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
         return new
     return {**old, **{key: _laid(old.get(key), item) for key, item in new.items()}}
 
 
 def _number(value: Any) -> Any:
-    """The number that :data:`MARK` stands before, as it was typed; any other `value` itself."""
+    """A number marked by :data:`MARK`, as it was typed; any other `value` unchanged."""
     if not (isinstance(value, str) and value.startswith(MARK)):
         return value
     text = value.removeprefix(MARK)

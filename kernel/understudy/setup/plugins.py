@@ -1,9 +1,9 @@
-"""Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins bring.
+"""Loading plugins: entry points, tables, pluggy's hook, and folders of options.
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in
 tables (:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside
-it. The hook below, marked with ``@understudy.hookimpl``, registers what has to be found out; a
-module that has it says ``REQUIRES`` if its tables are to be read, too. The bundled plugins are
+it. The hook below, marked with ``@understudy.hookimpl``, registers what is only known at run time;
+the tables of a module with a hook are read if it also has ``REQUIRES``. The bundled plugins are
 loaded exactly like a stranger's.
 """
 
@@ -33,11 +33,11 @@ hookimpl = pluggy.HookimplMarker(GROUP)
 
 
 class Hooks:
-    """The hook a plugin may implement."""
+    """The hook that a plugin may implement."""
 
     @hookspec
     def understudy_register(self, register: Registrar) -> None:
-        """Register what has to be found out, such as the files of a folder."""
+        """Register what is only known at run time, such as the files in a folder."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Plugins:
     loaded: list[LoadedPlugin] = field(default_factory=list)
 
     def folders(self) -> list[tuple[str, Path]]:
-        """Whose folders of options there are: the kernel's, which has no name, then each plugin's."""
+        """The folders of options by owner: the kernel, whose name is empty, then the plugins."""
         found = [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
         return [("", kernel_conf()), *found]
 
@@ -68,10 +68,10 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     """Load all installed plugins, or just those named in `only`, plus `extra` (name, module) pairs.
 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
-    leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be read, or
-    provides what an earlier one provides already is recorded in ``registry.broken``, with nothing of it
-    kept; the others still load. The bundled plugins come first, then the others by name. A PluginError
-    if a variable names no plugin.
+    leaves some out; a PluginError if they name a plugin that is not installed. A plugin that fails
+    to import, misspells the hook, has unreadable options, or provides what an earlier one provides
+    is left out as a whole and recorded in ``registry.broken``; the others still load. Bundled
+    plugins come first, then the others by name.
     """
     result = Plugins()
     of = functools.cache(_of)  # many plugins are of one distribution
@@ -105,7 +105,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
 
 
 def _entries(one: metadata.Distribution | None = None) -> Iterable[metadata.EntryPoint]:
-    """Where plugins are; a PluginError names the package that nobody, torch neither, can ask."""
+    """The entry points of plugins; a PluginError names the package whose own cannot be read, by
+    anyone: torch would fail on it, too."""
     try:
         return one.entry_points if one else metadata.entry_points(group=GROUP)
     except Exception as error:
@@ -123,8 +124,8 @@ def _module(entry: metadata.EntryPoint) -> Any:
 
 
 def _of(distribution: metadata.Distribution | None) -> tuple[str, str]:
-    """Name and version, empty where its metadata are damaged."""
-    with suppress(Exception):  # no text, say
+    """Name and version; empty if the metadata are damaged."""
+    with suppress(Exception):  # such as a name that is no text
         return (distribution.name or "", distribution.version or "") if distribution else ("", "")
     return "", ""
 
@@ -138,7 +139,7 @@ def _names(variable: str, there: set[str]) -> set[str]:
 
 
 def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> None:
-    """Keep nothing of `plugin` but its name and why it did not load."""
+    """Forget all of `plugin` but its name and why it did not load."""
     reason = said(error)
     plugins.registry.remove(plugin.name)
     plugins.registry.broken[plugin.name] = reason
@@ -146,8 +147,8 @@ def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> No
 
 
 def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> None:
-    """Register what the plugin's module, which `find` gives, declares."""
-    manager = pluggy.PluginManager(GROUP)  # one each, so that no other's hook is called again
+    """Register what the plugin's module, which `find` imports, declares."""
+    manager = pluggy.PluginManager(GROUP)  # of its own, so that no other hook is called again
     manager.add_hookspecs(Hooks)
     try:
         module = find()
@@ -162,11 +163,11 @@ def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> Non
         manager.register(module)
         manager.check_pending()
         register = Registrar(plugins.registry, plugin.name, plugin.distribution, plugin.version)
-        if not hooked or "REQUIRES" in dir(module):  # else its constants may be its own
+        if not hooked or "REQUIRES" in dir(module):  # else its constants may mean something else
             register.tables(module)
         manager.hook.understudy_register(register=register)
         plugins.loaded.append(replace(plugin, config_directory=_conf(module)))
-    except BaseException as error:  # a stranger's import, or registration, may raise anything
+    except BaseException as error:  # a stranger's code may raise anything
         if is_stop(error):
             raise
         _isolate(plugins, plugin, error)
@@ -187,8 +188,8 @@ def kernel_conf() -> Path:
 
 
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
-    """By plugin: a config option that the kernel or an earlier plugin provides already,
-    or that cannot be read."""
+    """By plugin: the error for a config option that cannot be read, or that the kernel or an
+    earlier plugin provides already."""
     owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
@@ -206,18 +207,18 @@ def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
     return faults
 
 
-#: Most bytes of a stranger's file of options, and most values once what it repeats is written out.
+#: The most bytes of a stranger's file of options, and the most values with its anchors expanded.
 _BYTES, _VALUES = 2**20, 10**5
 
 
 def _unreadable(file: Path) -> str:
-    """Why a file of options cannot be read, if so. What repeats itself by anchors is not written out."""
+    """Why a file of options cannot be read; "" if it can. Anchors are not expanded."""
     import yaml
 
     values: dict[int, int] = {}
 
     def count(node: Any) -> int:
-        """Of the node's values; raises a RecursionError for one that contains itself."""
+        """Values in the node; a RecursionError if it contains itself."""
         if id(node) not in values:
             inside = node.value if isinstance(node, yaml.CollectionNode) else ()
             flat = (n for item in inside for n in (item if isinstance(item, tuple) else (item,)))

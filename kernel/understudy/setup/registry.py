@@ -26,7 +26,7 @@ __all__ = ["Component", "Registrar", "Registry"]
 
 @dataclass(frozen=True)
 class Slot:
-    """A place in the configuration that a component fills, or several, each under a name."""
+    """A place in the configuration that one component fills, or several, each under a name."""
 
     name: str  #: its key path
     kind: str  #: of component
@@ -35,7 +35,7 @@ class Slot:
     plugin: str = ""  #: that added it
 
 
-#: The slots that the kernel itself knows. Plugins may add slots, and kinds, of their own.
+#: The kernel's own slots. Plugins may add slots, and kinds.
 KERNEL_SLOTS: tuple[Slot, ...] = (
     Slot("job", "job", "what a run iterates; unset, reinforcement learning"),
     Slot("scene", "scene", "what is simulated"),
@@ -59,8 +59,8 @@ KERNEL_SLOTS: tuple[Slot, ...] = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A task, whose parts are the config option ``task/<name>``; a kind of component; a citation;
-    or a key of the kernel's own."""
+    """A task, whose parts are in the config option ``task/<name>``; a kind of component; a
+    citation; or one of the kernel's own keys."""
 
     name: str
     summary: str
@@ -73,7 +73,7 @@ KERNEL_KINDS: tuple[Entry, ...] = (
     Entry("observer", "is told what happens in every run"),
 )
 
-#: What a plugin's module can declare as data, and how a row of each is written.
+#: The tables that a plugin's module can have, and how a row of each is written.
 TABLES: dict[str, str] = {
     "KINDS": '{"kind": "what its components are"}',
     "SLOTS": '{"slot": {"kind": "of what fills it", "summary": "what it is", "many": False}}',
@@ -110,8 +110,9 @@ class Component:
         if not isinstance(self.target, str):
             return self.target
         module, _, attribute = self.target.partition(":")
+        # A signal that raised while C++ is being imported would abort the process.
         with self.guarded("cannot be used", "Install what it is missing"), StopRequest():
-            loaded = importlib.import_module(module)  # C++ that Python raised through would abort
+            loaded = importlib.import_module(module)
         if not hasattr(loaded, attribute):
             raise self.fault(f"is registered as '{self.target}', which does not exist")
         return getattr(loaded, attribute)
@@ -123,28 +124,28 @@ class Component:
 
     @contextlib.contextmanager
     def guarded(self, why: str, advice: str = "Mend the plugin") -> Iterator[None]:
-        """Inside, whatever the plugin's code raises becomes its :meth:`fault`; what it refuses, and
-        what stops the process, stays what it is."""
+        """Inside, what the plugin's code raises becomes a :meth:`fault` of the plugin, except an
+        UnderstudyError, with which it refuses something, and a stop signal."""
         try:
             yield
-        except BaseException as error:  # a stranger's may raise anything
+        except BaseException as error:  # a stranger's code may raise anything
             if isinstance(error, UnderstudyError) or is_stop(error):
                 raise
             raise self.fault(f"{why}: {said(error).rstrip('.')}", advice) from error
 
-    def made(self, *given: Any, **options: Any) -> Any:
-        """What the factory makes, whatever it is; what it raises is the plugin's fault."""
+    def call(self, *given: Any, **options: Any) -> Any:
+        """What the factory of a kind of functions returns; what it raises is a :meth:`fault`."""
         with self.guarded("cannot be used"):
             return self.factory(*given, **options)
 
     def fault(self, why: str, advice: str = "Mend the plugin") -> PluginError:
-        """The error that says why it cannot be used as it is."""
+        """The error for a component that cannot be used, with the reason `why`."""
         by = f"{self.kind} '{self.name}' of plugin '{self.plugin}'"
         return PluginError(f"{by} {why}. {advice}, or choose another one.")
 
     def make(self, like: type, *given: Any) -> Any:
-        """What the factory makes of `given`, or a :class:`PluginError` that says what is not as in
-        `like`, the interface of its kind."""
+        """An instance, made of `given`, for kinds that are classes; or a :class:`PluginError` that
+        says in what it differs from `like`, the interface of its kind."""
         factory, kinds = self.factory, ", ".join(type(item).__name__ for item in given)
         try:
             inspect.signature(factory).bind(*given)
@@ -163,7 +164,7 @@ class Component:
 
 
 def _fits(value: Any, form: str) -> bool:
-    """Whether what a part says of its fields is of that form; ``("position")`` is no tuple."""
+    """Whether the `value` of an attribute has the type `form`; ``("position")`` is no tuple."""
     several = isinstance(value, Sequence) and not isinstance(value, str)
     if form == "tuple[str, ...]":
         return several and all(isinstance(item, str) for item in value)
@@ -199,11 +200,11 @@ class Registry:
     sections: dict[str, Section] = field(default_factory=dict)
     #: By (plugin, key): how to cite what the plugin implements.
     citations: dict[tuple[str, str], Entry] = field(default_factory=dict)
-    #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
+    #: By name of a plugin that could not be loaded: why; said where something is not found.
     broken: dict[str, str] = field(default_factory=dict)
 
     def unknown_kinds(self) -> dict[str, PluginError]:
-        """Once all plugins are loaded: by plugin, a component of a kind that is nobody's."""
+        """By plugin, once all are loaded: a component of a kind that nobody registered."""
         return {
             c.plugin: PluginError(
                 f"it registers '{c.name}' as a '{c.kind}', which is no kind of component."
@@ -217,7 +218,7 @@ class Registry:
         return sorted(name for k, name in self.components if k == kind)
 
     def find(self, kind: str, name: str, where: str = "") -> Component:
-        """The component, or a :class:`ConfigError` with a suggestion of what was meant."""
+        """The component; or a :class:`ConfigError` that suggests what was meant."""
         component = self.components.get((kind, name))
         if component is not None:
             return component
@@ -231,7 +232,7 @@ class Registry:
         raise ConfigError(message + self.absent())
 
     def absent(self) -> str:
-        """Which plugins did not load, and why: the end of an error about what was not found."""
+        """Which plugins did not load, and why; the end of an error about something not found."""
         return "".join(f" Plugin '{name}' did not load: {why}" for name, why in self.broken.items())
 
     def remove(self, plugin: str) -> None:
@@ -244,7 +245,7 @@ class Registry:
 
 @dataclass(frozen=True)
 class Registrar:
-    """Adds what a plugin declares in tables, or registers in its hook, under the plugin's name."""
+    """Registers, under the plugin's name, what its tables declare and what its hook adds."""
 
     registry: Registry
     plugin: str
@@ -266,7 +267,7 @@ class Registrar:
             self._check_command(name)
 
     def _check_command(self, name: str) -> None:
-        """Raise :class:`PluginError` for a command that cannot be typed, or is a group of others."""
+        """Raise :class:`PluginError` for a command that cannot be typed, or that is a group."""
         words = name.split()
         typed = len(words) <= 2 and all(re.fullmatch(r"[^\W_][\w-]*", word) for word in words)
         others = self.registry.names("command")
@@ -276,8 +277,8 @@ class Registrar:
             raise PluginError(f"it registers the command '{name}', which {why}.")
 
     def tables(self, module: Any) -> None:
-        """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it
-        has them. A place, ``"module:name"``, is within the module's package."""
+        """Register what the plugin's `module` declares in those of the :data:`TABLES` that it has.
+        A place, ``"module:name"``, is relative to the module's package."""
         package = getattr(module, "__package__", None)
 
         def at(place: Any) -> Any:
@@ -309,34 +310,34 @@ class Registrar:
                 ) from error
 
     def task(self, name: str, summary: str) -> None:
-        """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
+        """Register a task whose parts are in the plugin's ``conf/task/<name>.yaml``."""
         self._add("task", self.registry.tasks, name, Entry(name, summary, self.plugin), summary)
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
-        """Register a top-level config section and what is built from it."""
+        """Register a top-level config section, and what builds an object from it."""
         schema = Component("section", name, options, self.plugin)
         maker = Component("section", name, build, self.plugin)
         section = Section(name, schema, maker, self.plugin)
         self._add("section", self.registry.sections, name, section)
 
     def kind(self, name: str, summary: str) -> None:
-        """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
+        """Add a kind of component, for example ``clip_reader``."""
         self._add("kind", self.registry.kinds, name, Entry(name, summary, self.plugin), summary)
 
     def slot(self, name: str, kind: str, summary: str, *, many: bool = False) -> None:
-        """Add a top-level slot `name` of the plugin's own, filled by components of `kind`; jobs
-        build what fills it (``experiment.need(name).build(…)``)."""
+        """Add a top-level slot `name` that components of `kind` fill; jobs build them
+        (``experiment.need(name).build(…)``)."""
         slot = Slot(name, kind, summary, many, self.plugin)
         self._add("slot", self.registry.slots, name, slot, kind, summary)
 
     def citation(self, key: str, text: str) -> None:
-        """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
+        """Record how to cite what the plugin implements; every run that uses it keeps this."""
         entry = Entry(key, text, self.plugin)
         self._add("citation", self.registry.citations, (self.plugin, key), entry, text)
 
     def _add(self, what: str, table: dict[Any, Any], key: Any, entry: Any, *texts: Any) -> None:
-        """Put `entry` into `table`, or raise :class:`PluginError`: its name cannot be typed, one of
-        the `texts` is none, or the name is somebody's already."""
+        """Put `entry` into `table`; a :class:`PluginError` if its name cannot be typed, one of the
+        `texts` is no text, or the name is taken."""
         name, by = entry.name, f"Plugin '{self.plugin}'"
         typed = " ".join(str(name).split()) == name != "" and name.isprintable()
         if not typed or not all(isinstance(text, str) for text in (what, *texts)):

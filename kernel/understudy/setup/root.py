@@ -11,8 +11,8 @@ from understudy.options import check_range
 
 __all__ = ["Root"]
 
-#: The most steps of physics in a decision, decisions in an episode of an evaluation, and in all of
-#: its episodes.
+#: The most physics steps in a decision, decisions in an episode of an evaluation, and decisions in
+#: all of its episodes.
 _STEPS, _DECISIONS, _JUDGED = 100_000, 1_000_000, 100_000_000
 
 
@@ -45,11 +45,11 @@ class EpisodeOptions:
 
 @dataclass(frozen=True)
 class BudgetOptions:
-    """A training ends at whichever of these it reaches first; both are absolute over resumes."""
+    """A training ends at whichever of these it reaches first; both count across resumes."""
 
     samples: int | None = None  #: environment steps, summed over worlds
-    minutes: float | None = None  #: of training; no evaluations, nor what is compiled for it
-    #: Samples after which ``evaluation.criterion`` is usually met, if known: for the time shown.
+    minutes: float | None = None  #: of training, without evaluations and compiling
+    #: Samples after which ``evaluation.criterion`` is usually met, if known; for the time left.
     usual_samples: int | None = None
 
     def __post_init__(self) -> None:
@@ -58,7 +58,7 @@ class BudgetOptions:
 
 @dataclass(frozen=True)
 class MeasureThreshold:
-    """Success by a measure: its value over the episode lies within these limits."""
+    """Success by a measure: over the episode, its value is within these limits."""
 
     measure: str  #: name of the measure
     at_least: float | None = None  #: in the measure's unit
@@ -74,24 +74,25 @@ class EvaluationOptions:
     """How a policy is judged: deterministic, from starts that training never saw."""
 
     episodes: int = 64  #: of one draw of starts, all at once
-    final_episodes: int = 128  #: of the draw that confirms a criterion, and of the last one
-    seconds: float = 20.0  #: episodes are cut at this length
+    final_episodes: int = 128  #: of the draw that confirms a criterion, and of the last evaluation
+    seconds: float = 20.0  #: episodes are truncated at this length
     starts: Mapping[str, Any] = field(default_factory=dict)  #: where they begin; the first decides
     #: ``survived`` (no failure until the end), a termination term with outcome=success, or
     #: ``{measure: NAME, at_least: x}``; null is the task's success term, else survival.
     success: str | MeasureThreshold | None = None
-    #: Failure terms that end an evaluation's episode, the others being only reported; null is all.
+    #: Failure terms that end an episode of an evaluation; the others only report. Null is all.
     failures: tuple[str, ...] | None = None
     #: What searches maximise: ``success_rate``, ``return``, or a measure (its mean).
     objective: str = "success_rate"
-    #: Success rate at which a training is done, on one draw of starts and then, confirmed, on a
-    #: second; null trains to the budget.
+    #: Success rate at which a training is done, if it is reached on one draw of starts and again on
+    #: a second one that confirms it; null trains to the budget.
     criterion: float | None = None
-    give_up: bool = True  #: once the criterion is out of reach; its measures are then not recorded
+    #: Whether an evaluation stops once the criterion is out of reach; it then records no measures.
+    give_up: bool = True
     #: An evaluation starts when training episodes would last this share of its seconds …
     gate: float = 0.3
-    #: … and this many samples were consumed since the last one; null is 100 000 where there is a
-    #: criterion, and never where there is none.
+    #: … and this many samples were consumed since the last one; null is 100 000 with a criterion,
+    #: and never without one.
     every_samples: int | None = None
 
     def __post_init__(self) -> None:
@@ -103,7 +104,7 @@ class EvaluationOptions:
 
     @property
     def every(self) -> float:
-        """After how many samples evaluations follow one another."""
+        """Samples from one evaluation to the next."""
         if self.every_samples is None:
             return math.inf if self.criterion is None else 100_000
         return max(self.every_samples, 1)
@@ -122,7 +123,7 @@ class CheckpointOptions:
 @dataclass(frozen=True)
 class RunOptions:
     dir: str | None = None  #: run folder; null makes ``runs/<experiment>-<n>``
-    video_seconds: float = 8.0  #: of the film when a training ends; 0 makes none
+    video_seconds: float = 8.0  #: length of the film made when a training ends; 0 makes none
     video_size: tuple[int, int] | None = None  #: width and height in pixels; null is the report's
     video_camera: float | None = None  #: degrees about the vertical; 0 is from behind, 90 the right
 
@@ -146,19 +147,19 @@ class TerminationOptions:
 
 @dataclass(frozen=True)
 class Root:
-    """The top level of a configuration, beside the slots and plugins' sections."""
+    """The top level of a configuration, without slots and plugins' sections."""
 
     seed: int = 0  #: of all random streams, from 0
-    device: str = "cpu"  #: torch's name of it
-    num_worlds: int = 256  #: trained in at once, from 1
+    device: str = "cpu"  #: as torch names it
+    num_worlds: int = 256  #: simulated at once in training, from 1
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
     task: str | None = None  #: its name, where one was chosen
     control: ControlOptions = ControlOptions()  #: how often the policy decides
     episode: EpisodeOptions = EpisodeOptions()  #: how long episodes last at most
     budget: BudgetOptions = BudgetOptions()  #: when a training ends
     evaluation: EvaluationOptions = EvaluationOptions()  #: how a policy is judged
-    checkpoint: CheckpointOptions = CheckpointOptions()  #: what is saved, and how often
-    run: RunOptions = RunOptions()  #: where it goes, and its film
+    checkpoint: CheckpointOptions = CheckpointOptions()  #: how often a run is saved
+    run: RunOptions = RunOptions()  #: its folder and its film
     reward: RewardOptions = RewardOptions()  #: what is rewarded
     termination: TerminationOptions = TerminationOptions()  #: what ends an episode
 

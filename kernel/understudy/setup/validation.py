@@ -1,7 +1,7 @@
-"""Validation: from a configuration as it was composed to one whose every part is found and checked.
+"""Validation: from a composed configuration to one in which every part is found and checked.
 
-A configuration is data. It names components; it never names Python code, and keys by which Hydra
-would call code (``_target_`` and its like) are refused wherever they stand.
+A configuration is data. It names components, never Python code: keys by which Hydra would call
+code (such as ``_target_``) are refused wherever they are.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from understudy.options import (
     make_options,
     options_of,
 )
-from understudy.setup.config import Chosen, Experiment, Noting, NotingRoot
+from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import KEYS, Root
 from understudy.task.terms import Outcome, Reduction
 
 __all__ = ["EXTRAS", "refuse_code", "root_keys", "validate"]
 
-#: What components of a kind take beside their own options: renamed fields, and how terms count.
+#: By kind, what a component takes beside its own options: renamed fields, and how a term counts.
 _READS = {"reads": Option("reads", dict[str, str], {})}
 _PROVIDES = {"provides": Option("provides", dict[str, str], {})}
 EXTRAS: dict[str, dict[str, Option]] = {
@@ -44,15 +44,15 @@ EXTRAS: dict[str, dict[str, Option]] = {
 
 
 def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
-    """Look up every component that `raw` names and check every option. A ConfigError with the key path
-    for an unknown key or component, a missing or wrong value."""
+    """Find every component that `raw` names, and check every option. A ConfigError names the key
+    path of an unknown key or component, or of a missing or wrong value."""
     refuse_code(raw)
     known = root_keys(registry)
     for key in raw:
         if key not in known:
             raise ConfigError(unknown_key(str(key), registry) + registry.absent())
     given = {k: v for k, v in raw.items() if k in KEYS and not (v is None and k in GROUPS)}
-    root = make_options(NotingRoot, given, "")
+    root = make_options(Root, given, "")
     choices = {
         slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
         for slot in registry.slots.values()
@@ -62,10 +62,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         if raw.get(name) is not None:
             with section.options.guarded("has options that cannot be read"):
                 sections[name] = make_options(section.options.factory, raw[name], name)
-    asked = set[str]()
-    experiment = Experiment(
-        root, Noting(choices, asked), Noting(sections, asked), registry, asked=asked
-    )
+    experiment = Experiment(root, choices, sections, registry)
     if root.evaluation.objective != "success_rate":
         experiment.need_measure(root.evaluation.objective, "evaluation.objective")
     _ = experiment.failures
@@ -79,8 +76,6 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
                         "and reward.combine=product takes no negative terms. Use reward.combine=sum, "
                         "or another term."
                     )
-    asked.clear()
-    vars(root)["asked"] = asked
     return experiment
 
 
@@ -90,10 +85,10 @@ def root_keys(registry: Registry) -> set[str]:
 
 
 def unknown_key(key: str, registry: Registry) -> str:
-    """The sentence about a root key that is none; one may have left out what stands before a dot."""
+    """The error for an unknown key of the root, perhaps typed without what comes before its dot."""
     groups = [o for o in options_of(Root).values() if dataclasses.is_dataclass(o.annotation)]
     meant = [f"{o.name}.{key}" for o in groups if key in options_of(o.annotation)]
-    if key == "experiment":  # what an experiment's file says, put where that file is
+    if key == "experiment":  # the content of an experiment's file, put at its own place
         return (
             "An experiment's file, with all that it sets, begins with '# @package _global_', and "
             "this one does not."
@@ -103,7 +98,7 @@ def unknown_key(key: str, registry: Registry) -> str:
     return f"There is no configuration key '{key}'.{found}{part}"
 
 
-#: Groups of the root that an override of null empties.
+#: Groups of the root that are emptied by null.
 GROUPS = ("reward", "termination")
 
 
@@ -139,12 +134,12 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     with component.guarded("has options that cannot be read"):
         if (schema := getattr(component.factory, "Options", None)) is not None:
             checked = filled(schema, checked, where)
-    # A function's options are its keyword-only parameters; a class without Options has none.
+    # A function has keyword-only parameters for options; a class without Options has none.
     return Chosen(name, component, checked or None, where, extras)
 
 
 def _named_part(value: Any) -> bool:
-    """Whether `value` says which component it is."""
+    """Whether `value` names a component."""
     return isinstance(value, str) or (isinstance(value, Mapping) and "name" in value)
 
 

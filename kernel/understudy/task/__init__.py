@@ -1,13 +1,13 @@
-"""What a task consists of: the interfaces of its parts, and what they are handed.
+"""What a task consists of: the interfaces of its parts, and what these are given.
 
 Shapes: N worlds, T steps, D observation size, A action size, U control size. All tensors of a task
-live on one device; float32 unless said otherwise. Interfaces are abstract, implementations final:
-to change a part, wrap or replace it.
+are on one device, and float32 unless noted otherwise. Interfaces are abstract, implementations
+final: to change a part, wrap or replace it.
 
 A component's class takes ``(options, context)``: an instance of its nested ``Options`` dataclass
 and the :class:`Context` of what is being built. Terms (rewards, terminations, measures) are plain
-functions: their positional parameters name the state fields they read, one with a default being
-read only where the task has it; their keyword-only parameters are options.
+functions: their positional parameters name the state fields that they read (those with a default,
+only if the task has them), and their keyword-only parameters are options.
 """
 
 from understudy.task.actions import ActionSpace, Box, Choice, box

@@ -15,10 +15,10 @@ Around = str | tuple[float, ...] | None
 
 @dataclass(frozen=True)
 class Box:
-    """`size` real numbers, unbounded: what they mean and how they are limited is the actuation's.
+    """`size` real numbers, unbounded: the actuation decides their meaning and their limits.
 
-    Learners that act in [-1, 1] span what is within `reach` of `around`: 0, numbers,
-    or the field of that name, (N, size).
+    Learners that act in [-1, 1] cover what is within `reach` of `around`: 0, numbers, or the field
+    of that name, (N, size).
     """
 
     size: int

@@ -1,4 +1,4 @@
-"""What every part is handed: the context of the task that it is built for."""
+"""What every part is given: the context of the task that it is built for."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ T = TypeVar("T")
 
 @dataclass
 class Context:
-    """What a component can know of the task it is built for.
+    """What a component can know about the task that it is built for.
 
-    Filled in the order of building: sections, scene, simulator, then everything else. The action
-    space, ``observation_shapes`` and ``parts`` are known when policy and learner are built.
+    It is filled in the order of building: sections, scene, simulator, then everything else. The
+    action space, ``observation_shapes`` and ``parts`` are known when policy and learner are built.
     """
 
     seed: int
@@ -41,13 +41,13 @@ class Context:
     control_dt: float  #: seconds of one control period
     substeps: int  #: physics steps of one control period
     decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
-    difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
-    evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
-    #: As ``substeps``, of the task itself: trainings may begin coarser, and a result is tried finer.
+    difficulty: float = 1.0  #: in [0, 1]: of evaluations, and what trainings lead to
+    evaluating: bool = False  #: whether this is an evaluation's environment
+    #: The task's own ``substeps``: trainings may begin with fewer, and results are tried with more.
     own_substeps: int | None = None
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
-    #: What the configuration chooses, by slot: for slots of plugins' own.
+    #: What the configuration chooses, by slot; for the slots of plugins.
     chosen: Mapping[str, tuple[Chosen, ...]] = field(default_factory=dict)
     inputs: Inputs = field(default_factory=Inputs)  #: through which parts read files
     scene: Scene | None = None
@@ -64,14 +64,14 @@ class Context:
         return self.action_space.size if self.action_space is not None else 0
 
     def once(self, key: str, build: Callable[[], T]) -> T:
-        """The object `key` that several parts share, built by whoever asks first."""
+        """The object `key` that several parts share; the first to ask builds it."""
         if key not in self._shared:
             self._shared[key] = build()
         return self._shared[key]
 
     def need_scene(self, kind: type[T], who: str) -> T:
-        """The scene, or the one of its members, that is a `kind`;
-        else an error naming `who` needs it."""
+        """The scene, or its one member, that is a `kind`; else a ConfigError that `who` needs
+        it."""
         scenes = [self.scene, *(self.scene.members.values() if self.scene else ())]
         found = [scene for scene in scenes if isinstance(scene, kind)]
         if len(found) != 1:
@@ -83,7 +83,7 @@ class Context:
         return found[0]
 
     def need_section(self, name: str, kind: type[T], who: str) -> T:
-        """The object built from the config section `name`; else an error naming `who` needs it."""
+        """The object built from the section `name`; else a ConfigError that `who` needs it."""
         value = self.sections.get(name)
         if not isinstance(value, kind):
             raise ConfigError(

@@ -1,10 +1,10 @@
 """The parts of a task that turn state into something else: fields, observations, controls, memory,
 and where episodes begin.
 
-All but initial states and curricula are pure: what they keep, the environment keeps for them.
-Fields come in by keyword, under the names in ``reads``. On an accelerator a step is captured once
-and replayed, so tensors that a part uses in a step are changed in place, never replaced, and
-nothing in a step waits for the device.
+All but initial states and curricula are pure functions: the environment keeps their state for
+them. Fields are passed by keyword, under the names in ``reads``. On an accelerator a step is
+captured once and replayed, so tensors that a part uses in a step are changed in place, never
+replaced, and nothing in a step waits for the device.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Fields(ABC):
-    """Derives state fields from others; runs at most once a step, only when a field is needed."""
+    """Derives state fields from others; runs at most once per step, only if a field is needed."""
 
     #: The fields that :meth:`compute` takes, by keyword.
     reads: tuple[str, ...]
@@ -38,12 +38,12 @@ class Fields(ABC):
 
 class Encoder(ABC):
     """Turns state fields into one observation tensor (N, …). A pure function, not a network:
-    those are the policy's."""
+    networks belong to the policy."""
 
     reads: tuple[str, ...]
     #: Shape of the observation without N.
     shape: Shape
-    #: Of an observation (N, D) the names of its D columns; without them they are numbered.
+    #: The names of the D columns of an observation (N, D); without names they are numbered.
     columns: Sequence[str] = ()
 
     @abstractmethod
@@ -54,18 +54,18 @@ class Encoder(ABC):
 class Actuation(ABC):
     """Turns actions (N, A) into controls (N, U).
 
-    A decision of the policy lasts one or more control periods, a control period several physics
-    sub-steps. ``every`` says how often the control is computed anew from the same action.
+    A decision of the policy lasts one or more control periods, each of several physics sub-steps.
+    ``every`` says how often a new control is computed from the same action.
     """
 
     reads: tuple[str, ...] = ()
     action_space: ActionSpace
     every: Literal["decision", "period", "substep"] = "decision"
-    #: Tensors per world that the environment keeps for it, readable as fields (an integrated tool).
+    #: Tensors per world that the environment keeps for it, as fields (an integrated target, say).
     keeps: Mapping[str, Shape] = {}
 
     def begin(self, *args: Any, **fields: Any) -> Mapping[str, Tensor]:
-        """What it ``keeps`` at the beginning of an episode, from the fields of ``reads``."""
+        """What it ``keeps`` at the beginning of an episode; called with the fields of ``reads``."""
         return {}
 
     def advance(self, action: Tensor, *args: Any, **fields: Any) -> Mapping[str, Tensor]:
@@ -78,17 +78,16 @@ class Actuation(ABC):
 
 
 class Memory(ABC):
-    """Tensors per world that carry an episode's past: timers, latches, means, targets drawn anew.
-    No replay buffer, and no recurrent state of a network.
+    """Tensors per world that carry an episode's past, such as timers, latches, means and targets.
+    Not a replay buffer, and not the recurrent state of a network.
 
-    They are fields. After every control period :meth:`advance` is called with the fields as they
-    are then, among them its own tensors from before; memories advance in the order of the
-    configuration.
+    They are fields. After every control period, :meth:`advance` is called with the present fields
+    and its own tensors from before; memories advance in the order of the configuration.
     """
 
     reads: tuple[str, ...] = ()
     keeps: Mapping[str, Shape]
-    #: How many random numbers in [0, 1) it is handed at every call, as ``uniforms`` (N, this).
+    #: How many random numbers in [0, 1) it is given in every call, as ``uniforms`` (N, this).
     uniforms: int = 0
 
     @abstractmethod
@@ -99,30 +98,29 @@ class Memory(ABC):
     def advance(
         self, kept: Mapping[str, Tensor], *args: Any, **fields: Any
     ) -> Mapping[str, Tensor]:
-        """What it ``keeps`` one control period later, from what it `kept` (by its own names)."""
+        """What it ``keeps`` one control period later, from what it `kept`, by its own names."""
 
 
 class InitialStates(ABC):
-    """Where episodes begin; may learn from the rollouts where it is worth beginning."""
+    """Where episodes begin; may learn from rollouts where it is worth beginning."""
 
-    #: Fields of the curriculum (``difficulty`` is always there) that :meth:`sample` takes.
+    #: Fields of the curriculum that :meth:`sample` takes; ``difficulty`` is always there.
     reads: tuple[str, ...] = ()
-    #: Per-episode constants that :meth:`sample` returns beside the simulator's state; readable as
-    #: fields, constant until the world's next episode.
+    #: Fields that :meth:`sample` returns beside the simulator's state; constant until the world's
+    #: next episode.
     episode_fields: Mapping[str, Shape] = {}
-    #: Simulator parameters that :meth:`sample` returns too: those in which worlds then differ.
+    #: Simulator parameters that :meth:`sample` returns, too, and in which worlds then differ.
     varies: tuple[str, ...] = ()
     #: Fields to be kept at every step of a rollout for :meth:`update`.
     rollout_fields: tuple[str, ...] = ()
-    #: Control periods that a beginning simulates without control before the episode starts, for
-    #: what must come to rest first. Costs that many steps of all worlds whenever one begins.
+    #: Control periods simulated without control before an episode starts, for what must first come
+    #: to rest. It costs that many steps of all worlds whenever one begins.
     settle: int = 0
 
     @abstractmethod
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         """One initial state for each of the N worlds: the simulator's ``state_fields``,
-        ``episode_fields`` and ``varies``, each (N, …). The environment uses the rows of worlds that
-        begin."""
+        ``episode_fields`` and ``varies``, each (N, …). Only rows of worlds that begin count."""
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         """Learn from a digested rollout (its ``returns`` are set); returns metrics."""
@@ -138,10 +136,10 @@ class InitialStates(ABC):
 class Curriculum(ABC):
     """Changes what the next episodes begin with as learning goes on.
 
-    What it ``provides`` are per-episode fields that initial states and terms may read. Three names
-    mean something to the environment: ``difficulty`` (), in [0, 1]; ``episode_limit`` () s, after
-    which an episode is cut; and names of simulator parameters, which are set. In an evaluation
-    (``context.evaluating``) it stands at ``context.difficulty`` and is never updated.
+    It ``provides`` fields, constant in an episode, that initial states and terms may read. Three
+    kinds of names mean something to the environment: ``difficulty`` (), in [0, 1];
+    ``episode_limit`` () s, at which an episode is truncated; and simulator parameters, which are
+    set. In an evaluation (``context.evaluating``) it is at ``context.difficulty`` and not updated.
     """
 
     provides: Mapping[str, Shape]
@@ -153,21 +151,20 @@ class Curriculum(ABC):
         """What it ``provides`` to episodes that begin now, each (N, …)."""
 
     def decision(self) -> int | None:
-        """Control periods of one decision from now on, for all worlds; None leaves the task's."""
+        """Control periods in a decision from now on, in all worlds; None leaves the task's own."""
         return None
 
     @abstractmethod
     def update(self, rollout: Rollout) -> dict[str, float]:
-        """Learn from a digested rollout; returns metrics. A metric ``mark/TEXT`` marks the learning
-        curves with TEXT."""
+        """Learn from a digested rollout; returns metrics. ``mark/TEXT`` marks curves with TEXT."""
 
     def finished(self) -> bool:
-        """Whether learning on is of no use, whatever the budget."""
+        """Whether there is no use in learning on, whatever the budget."""
         return False
 
     @abstractmethod
     def stage(self) -> str:
-        """Where it stands, in a few words for the progress line."""
+        """How far it is, in a few words for the progress line."""
 
     @abstractmethod
     def state_dict(self) -> State: ...

@@ -1,4 +1,4 @@
-"""What is simulated, and by what."""
+"""What is simulated, and what simulates it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ T = TypeVar("T")
 class Scene(ABC):
     """What is simulated. Each family of simulators defines the scene type it accepts."""
 
-    #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
+    #: Fields of one world to record for :meth:`draw` and :meth:`outlines`, if the task has them.
     recorded: tuple[str, ...] = ()
-    azimuth: float | None = None  #: where :meth:`draw` looks, degrees from x; None is its own
+    azimuth: float | None = None  #: where :meth:`draw` looks, degrees from x; None is its choice
     members: Mapping[str, Scene] = {}  #: by name, the scenes that it consists of
 
     @abstractmethod
@@ -31,15 +31,15 @@ class Scene(ABC):
         """Facts for provenance: sizes, masses, names."""
 
     def identity(self) -> Mapping[str, str]:
-        """By state field, the thing whose state it is, in words that differ between things: the
-        state of another garment or body is not to be taken for one of this."""
+        """By state field: whose state it is, in words that differ between things, so that the state
+        of another garment or body is not taken for one of this."""
         return {}
 
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
     ) -> Iterator[np.ndarray]:
-        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …); an UnderstudyError if
-        nothing can be drawn here (no OpenGL)."""
+        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …); an UnderstudyError
+        if drawing is not possible here (no OpenGL)."""
         raise UnderstudyError(f"scene {type(self).__name__} cannot be drawn.")
 
     def outlines(
@@ -76,48 +76,46 @@ class Simulator(ABC):
 
     @abstractmethod
     def read(self, name: str) -> Tensor:
-        """The field `name`, (N, …), at the present state and under the present control; valid until
-        the next call that changes the state. May be the simulator's own memory: not to be written."""
+        """The field `name`, (N, …), at the present state and control; valid until the next call
+        that changes the state. It may be the simulator's own memory, so do not write to it."""
 
     @abstractmethod
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time.
+        """Put the worlds where `worlds` (N,) bool is true into `state`, at time 0.
 
-        `state` has the ``state_fields`` and may have controls, which are 0 else, and varied
+        `state` has the ``state_fields``, and may have controls, which are otherwise 0, and varied
         parameters, each (N, …). Parameters that it leaves out keep their values.
         """
 
     @abstractmethod
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        """Advance every world by one control period, or by `substeps` physics steps,
-        under `control` (N, U)."""
+        """Advance by one control period, or by `substeps` physics steps, under `control` (N, U)."""
 
     @abstractmethod
     def failed(self) -> Tensor:
-        """(N,) bool: worlds that went wrong (non-finite, diverged, reset by the engine) since their
-        state was set, or in the steps since this was last asked. It is asked after every step."""
+        """(N,) bool: worlds that went wrong (not finite, diverged, reset by the engine) since their
+        state was set, or since this was last called. It is called after every step."""
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of everything that decides the future, varied parameters too, each (N, …),
-        in full precision."""
+        """An exact copy of all that the future depends on, varied parameters too, each (N, …)."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        """Continue exactly from a :meth:`snapshot` of as many worlds; only those where `worlds`
-        (N,) bool is true, if given."""
+        """Continue exactly from a :meth:`snapshot` of as many worlds; if `worlds` (N,) bool is
+        given, only in those where it is true."""
 
     def replayed(
         self, work: Callable[[Tensor], T], environment: Environment
     ) -> Callable[[Tensor], T]:
-        """`work` on an action (N, A), which steps `environment`, as it is called from now on: an
-        accelerator may take it down once and replay it. What it returns is then overwritten by the
-        next call."""
+        """A function to call instead of `work`, which steps `environment` by an action (N, A). On
+        an accelerator it may capture `work` once and replay it; a call then overwrites what the
+        last one returned."""
         return work
 
     def report(self) -> dict[str, int]:
-        """Counts of what went wrong since the start (engine warnings, overflows), by name."""
+        """By name: how often something went wrong since the start (engine warnings, overflows)."""
         return {}
 
     def close(self) -> None:  # noqa: B027 - most simulators hold nothing
-        """Release what the simulator holds."""
+        """Release resources."""

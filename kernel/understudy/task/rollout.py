@@ -19,14 +19,14 @@ class Rollout:
     log_probs: Tensor  #: (T, N)
     rewards: Tensor  #: (T, N)
     terminated: Tensor  #: (T, N) bool: the episode ended here and nothing follows
-    truncated: Tensor  #: (T, N) bool: the episode was cut here; ``final_values`` continues it
+    truncated: Tensor  #: (T, N) bool: the episode was cut here; ``final_values`` is the rest
     failed: Tensor  #: (T, N) bool: terminated by a failure
     final_values: Tensor  #: (T, N) value of the state after a truncated step, 0 elsewhere
     episode_returns: Tensor  #: (T, N) sum of the episode's rewards up to and with this step
-    fields: dict[str, Tensor]  #: fields that were asked for, before the action, (T, N, …)
+    fields: dict[str, Tensor]  #: the ``rollout_fields``, before the action, (T, N, …)
     values: Tensor | None = None  #: (T, N)
     returns: Tensor | None = None  #: (T, N)
-    #: Fields that were asked for of the states reached, before what ended begins anew, (T, N, …).
+    #: Fields of the states reached, before ended worlds begin anew, (T, N, …).
     next_fields: dict[str, Tensor] = field(default_factory=dict)
 
     @property

@@ -25,7 +25,7 @@ Reduction = Literal["last", "min", "max", "mean", "sum", "any"]
 
 @dataclass(frozen=True)
 class Wired(Generic[T]):
-    """A part of a task, and which fields it reads and provides under which of its own names."""
+    """A part of a task, with the fields that it reads and provides under names of its own."""
 
     where: str  #: its key path in the configuration, for errors
     part: T
@@ -36,8 +36,8 @@ class Wired(Generic[T]):
 def renamed(
     where: str, option: str, names: tuple[str, ...], other: Mapping[str, str]
 ) -> dict[str, str]:
-    """`names` as they are, but for those that `other` maps to other fields; a ConfigError if it
-    renames something that is none of `names`."""
+    """The field for each of `names`: that of the same name, unless `other` maps it to another. A
+    ConfigError if it maps something that is none of `names`."""
     for name in other:
         if name not in names:
             raise ConfigError(
@@ -47,8 +47,8 @@ def renamed(
 
 
 def ranges(low: float, high: float) -> Callable[[T], T]:
-    """Declares between which values a reward term, a function or a class, lies. A product of
-    rewards refuses one that can be negative."""
+    """Declares the range of a reward term, a function or a class. A product of rewards refuses
+    terms that can be negative."""
 
     def declare(term: T) -> T:
         term.range = (low, high)  # type: ignore[attr-defined]
@@ -58,8 +58,8 @@ def ranges(low: float, high: float) -> Callable[[T], T]:
 
 
 def parameters_of(function: Callable[..., Any]) -> dict[str, bool]:
-    """The fields that a term's function reads, its positional parameters in order, and whether each
-    is optional, having a default."""
+    """The fields that a term's function reads, which are its positional parameters, in order; and
+    whether each is optional, because it has a default."""
     return {
         p.name: p.default is not p.empty
         for p in inspect.signature(function).parameters.values()

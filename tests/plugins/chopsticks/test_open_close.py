@@ -19,7 +19,8 @@ from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Context
-from understudy_chopsticks.plan import Gripping, OpenAndClose, Plan, angle_at
+from understudy_chopsticks.held_grip import Gripping
+from understudy_chopsticks.plan import OpenAndClose, Plan, angle_at
 from understudy_chopsticks.tracking import Hand, Tracking, contact, contact_lost, dropped, sticks
 from understudy_gripping.grip import Grip, load_grip, standard
 from understudy_gripping.hold import placed

@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from understudy_dressing.body import SIDES, Side
 from understudy_dressing.cone import RANGES, fitted, limits
-from understudy_dressing.person import SIDES, PersonScene, Side
-from understudy_dressing.shirt import DRESSED, IN_SLEEVE
+from understudy_dressing.person import PersonScene
+from understudy_dressing.waypoints import DRESSED, IN_SLEEVE
 
 #: N m, of a hinge: a third of its largest.
 PUSH = 4.0

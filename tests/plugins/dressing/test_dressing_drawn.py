@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from understudy_dressing.body import LINKS, radii, sensors, tool_bodies
 from understudy_dressing.drawing import Felt
 from understudy_dressing.garment import GarmentScene
-from understudy_dressing.person import LINKS, PersonScene, neutral_pose, radii, sensors, tool_bodies
+from understudy_dressing.person import PersonScene, neutral_pose
 
 
 def neutral(frames: int) -> dict[str, np.ndarray]:

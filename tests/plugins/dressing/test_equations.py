@@ -15,8 +15,9 @@ from torch import Tensor
 
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
+from understudy_dressing.body import limb, sensors
 from understudy_dressing.parts import SleeveObservation
-from understudy_dressing.person import PersonScene, limb, neutral_pose, sensors
+from understudy_dressing.person import PersonScene, neutral_pose
 from understudy_dressing.sleeve import SleeveScene
 from understudy_dressing.state import SleeveState
 from understudy_dressing.terms import TargetPose, along_task_vector, deformation, geodesic

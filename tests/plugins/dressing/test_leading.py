@@ -14,11 +14,14 @@ from understudy.command.cli import main
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_dressing.leading import Lead, LeadGrip
+from understudy_dressing.lead import Lead
+from understudy_dressing.lead_grip import LeadGrip
 from understudy_dressing.led import Led
+from understudy_dressing.moves import TRUNK
 from understudy_dressing.person import PersonScene, neutral_pose
-from understudy_dressing.shirt import _HELD_AT, DRESSED, TRUNK, ShirtScene
+from understudy_dressing.shirt import ShirtScene
 from understudy_dressing.terms import AlongWay
+from understudy_dressing.waypoints import DRESSED, HELD_AT
 from understudy_skills import bank
 from understudy_sweeps.film import scene_of
 
@@ -127,7 +130,7 @@ def test_a_place_is_reached_with_the_trunk_as_it_is_or_upright() -> None:
     pose = pose.copy()
     pose[:TRUNK] += 0.1
     arm = Led(SHIRT, "left", pose, cloth)
-    place = np.array(_HELD_AT)
+    place = np.array(HELD_AT)
     for upright, trunk in ((False, pose[:TRUNK]), (True, neutral_pose(PersonScene(PersonScene.Options()))[:TRUNK])):  # fmt: skip
         found = arm.reached("right", place, upright=upright)
         assert np.allclose(found[:TRUNK], trunk, atol=1e-6)

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from understudy_dressing.person import LINKS, PersonScene, limb, sensors, tool_bodies, tools
+from understudy_dressing.body import LINKS, limb, sensors, tool_bodies, tools
+from understudy_dressing.person import PersonScene
 from understudy_warp_torch.tools import TaperedCapsule
 
 

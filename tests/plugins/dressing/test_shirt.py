@@ -18,9 +18,10 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_cloth.mesh import face_areas
+from understudy_dressing.body import TIP, Side, limb
 from understudy_dressing.initial_states import WornShirt
-from understudy_dressing.person import TIP, PersonScene, Side, depth_in, limb, neutral_pose
-from understudy_dressing.shirt import IN_SLEEVE, ShirtScene
+from understudy_dressing.person import PersonScene, depth_in, neutral_pose
+from understudy_dressing.shirt import ShirtScene
 from understudy_dressing.shirt_state import under_hem
 from understudy_dressing.state import (
     centre_and_normal,
@@ -30,6 +31,7 @@ from understudy_dressing.state import (
     places_on,
     progress,
 )
+from understudy_dressing.waypoints import IN_SLEEVE
 from understudy_reproduce.tables import load_table
 from understudy_sequencing.algorithm import Algorithm1, stages_of
 from understudy_sweeps.chain import Chain

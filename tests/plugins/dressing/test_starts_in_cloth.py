@@ -13,8 +13,9 @@ from scipy.spatial import ConvexHull
 
 from understudy.command.cli import main
 from understudy.setup.composition import load_experiment
+from understudy_dressing.body import limb
 from understudy_dressing.initial_states import Track
-from understudy_dressing.person import PersonScene, depth_in, limb, neutral_pose
+from understudy_dressing.person import PersonScene, depth_in, neutral_pose
 from understudy_dressing.sleeve import SleeveScene
 from understudy_dressing.state import passes
 

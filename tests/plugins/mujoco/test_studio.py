@@ -8,8 +8,9 @@ import pytest
 
 from understudy.errors import UnderstudyError
 from understudy_mujoco import studio
+from understudy_mujoco.scenery import Camera, Scenery
 from understudy_mujoco.shadows import StillShadow
-from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure, draw
+from understudy_mujoco.studio import LEARNED, REFERENCE, Figure, draw
 
 BALL = """
 <mujoco><worldbody><geom type="plane" size="0 0 1"/>
@@ -176,7 +177,7 @@ def darkened(
 
 def pixel(point: tuple[float, float, float]) -> tuple[slice, slice]:
     """Where a place is seen from that camera."""
-    scenery = studio._Scenery(
+    scenery = Scenery(
         Camera(np.zeros((1, 2)), height=0.6, distance=5.0, azimuth=90.0, elevation=-40.0),
         45.0, WIDTH, HEIGHT,
     )  # fmt: skip

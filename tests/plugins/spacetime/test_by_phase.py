@@ -16,9 +16,9 @@ from understudy.records.runs import Run
 from understudy.task import Context
 from understudy_characters.letting_go import LettingGo
 from understudy_characters.scene import reference_motion
-from understudy_spacetime import initial_states
+from understudy_spacetime import clip_starts
 from understudy_spacetime.by_phase import by_part, drawn, measured, sentence, worst
-from understudy_spacetime.initial_states import Flyable, Phases
+from understudy_spacetime.clip_starts import Flyable, Phases
 
 
 def streams(worlds: int = 4_000) -> WorldStreams:
@@ -51,7 +51,7 @@ def test_starts_that_cannot_be_flown_are_left_out(
 ) -> None:
     duration = reference_motion(context).duration
     bad = [3 <= i < 6 for i in range(10)]
-    monkeypatch.setattr(initial_states, "let_go", lambda *_: fallen(bad, duration))
+    monkeypatch.setattr(clip_starts, "let_go", lambda *_: fallen(bad, duration))
     start = Flyable(None, context).sample(streams())["motion_start"] / duration
     assert not ((start > 0.251) & (start < 0.549)).any()  # within half a step of a bad one alone
     for phase in (0.1, 0.2, 0.6, 0.9):
@@ -61,7 +61,7 @@ def test_starts_that_cannot_be_flown_are_left_out(
 def test_a_clip_that_nobody_can_fly_is_refused(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(initial_states, "let_go", lambda *_: fallen([True] * 4, 1.0))
+    monkeypatch.setattr(clip_starts, "let_go", lambda *_: fallen([True] * 4, 1.0))
     with pytest.raises(ConfigError, match="--fix"):
         Flyable(None, context)
 

@@ -16,15 +16,11 @@ from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
 from understudy_characters.initial_states import ReferenceStates
 from understudy_characters.scene import reference_motion
-from understudy_spacetime import initial_states
-from understudy_spacetime.initial_states import (
-    ClipStart,
-    Evolution,
-    Evolved,
-    Importance,
-    boltzmann_draws,
-    segment_probabilities,
-)
+from understudy_spacetime import evolution
+from understudy_spacetime.clip_starts import ClipStart
+from understudy_spacetime.evolution import Evolution, Evolved, boltzmann_draws
+from understudy_spacetime.importance import Importance
+from understudy_spacetime.segments import segment_probabilities
 
 MakeRollout = Callable[[dict[str, Tensor], Tensor], Rollout]
 WORLDS = 40_000
@@ -324,7 +320,7 @@ def test_evolved_states_of_another_run(
     trained = Evolution(Evolution.Options(segments=SEGMENTS, size=8), context)
     trained.update(walked(context, make_rollout))
     state = {"environment": {"initial_states": trained.state_dict()}}
-    monkeypatch.setattr(initial_states, "newest_state", lambda run: state)
+    monkeypatch.setattr(evolution, "newest_state", lambda run: state)
     found = Evolved(Evolved.Options(run="runs/it"), context).sample(streams())
     buffer = trained.state_dict()["buffer"]
     known = buffer["motion_start"].flatten()
@@ -349,7 +345,7 @@ def test_evolved_states_that_are_damaged_are_refused(
 ) -> None:
     own = Evolution(Evolution.Options(segments=SEGMENTS, size=8), context).state_dict()
     state = {"environment": {"initial_states": {**own, "buffer": spoil(own["buffer"])}}}
-    monkeypatch.setattr(initial_states, "newest_state", lambda run: state)
+    monkeypatch.setattr(evolution, "newest_state", lambda run: state)
     with pytest.raises(RunError, match="The initial states of runs/it are damaged"):
         Evolved(Evolved.Options(run="runs/it"), context)
 
@@ -362,7 +358,7 @@ def test_evolved_states_that_are_damaged_are_refused(
 def test_a_checkpoint_without_environment_is_refused(
     state: Any, context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(initial_states, "newest_state", lambda run: state)
+    monkeypatch.setattr(evolution, "newest_state", lambda run: state)
     with pytest.raises(RunError, match="initial_states=spacetime/evolution"):
         Evolved(Evolved.Options(run="runs/it"), context)
 
@@ -370,6 +366,6 @@ def test_a_checkpoint_without_environment_is_refused(
 def test_a_run_that_does_not_evolve_is_refused(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(initial_states, "newest_state", lambda run: {"policy": {}})
+    monkeypatch.setattr(evolution, "newest_state", lambda run: {"policy": {}})
     with pytest.raises(RunError, match="initial_states=spacetime/evolution"):
         Evolved(Evolved.Options(run="runs/it"), context)

@@ -22,7 +22,7 @@ from understudy.task import Context, Rollout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_motion.section import Motion, MotionOptions
 from understudy_reinforcement.job import Reinforcement
-from understudy_spacetime.initial_states import Evolution
+from understudy_spacetime.evolution import Evolution
 
 pytestmark = pytest.mark.gpu
 

@@ -1,5 +1,4 @@
-"""Characters: any articulated figure that an MJCF model describes, as a part of tasks. Knows no
-particular one."""
+"""Characters: any articulated figure that an MJCF model describes, as a part of tasks."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "mujoco", "motion")

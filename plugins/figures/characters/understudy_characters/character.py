@@ -3,7 +3,7 @@
 A :class:`Clip` of a character has one joint for each body that can move against its parent, named
 after the body. In the *zero pose* (``qpos0``) every joint's frame is parallel to the root's, so all
 rotations are then the identity; offsets are those of the zero pose. Several hinges of one body are
-one joint, which is where the first of them is. Bodies without joints belong to the body they are welded to.
+one joint, at the place of the first one. A body without joints belongs to the body that it is welded to.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from torch import Tensor
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
 from understudy.task import Context
+from understudy_characters.joint import Joint
 from understudy_motion.clip import Clip, Skeleton, angle_names, sample
 from understudy_mujoco.scene import MjcfFile
 from understudy_tensors import rotations
 
-__all__ = ["Character", "Joint", "character_spec", "load_character"]
+__all__ = ["Character", "character_spec", "load_character"]
 
 _FREE, _BALL, _SLIDE, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_FREE),
@@ -72,7 +73,7 @@ def character_spec(
         the file does not load.
     """
     if named in registry.names("character"):
-        return named, registry.find("character", named).made()
+        return named, registry.find("character", named).call()
     known = registry.names("character")
     # A kept model's own file may be gone: it is told from a misspelt name by its spelling then.
     path = Path(named)
@@ -92,7 +93,7 @@ def character_spec(
 
 
 def _warn_of_angles(spec: mujoco.MjSpec, name: str) -> None:
-    """Say so where the ranges of hinges are as of the other unit of angles: MJCF's is the degree where nothing is said."""
+    """Warn if the ranges of hinges look like the other unit of angles: MJCF's default is degrees."""
     ends = sorted(
         float(np.abs(joint.range).max())
         for joint in spec.joints
@@ -138,79 +139,11 @@ def _free_root(spec: mujoco.MjSpec, name: str) -> None:
     )
 
 
-@dataclass(frozen=True)
-class Joint:
-    """One joint of the figure: a body and the hinges, or the ball, between it and its parent."""
-
-    name: str
-    body: int  #: id in the model
-    parent: int  #: row of the parent joint, -1 for the root
-    addresses: tuple[int, ...]  #: first ``qpos`` address of each of its MuJoCo joints
-    axes: (
-        np.ndarray
-    )  #: (K, 3) of its hinges, in the body's frame; empty for a ball and for the root
-    ranges: np.ndarray  #: (K, 2) rad of its hinges, infinite where unlimited
-    apart: np.ndarray  #: (K, 3) m, from its first hinge to each, in the body's frame
-
-    def angles(self, turned: Tensor) -> Tensor:
-        """(F, K) rad: the angles at which its hinges turn by `turned` (F, 4), in the body's frame, or
-        near to it.
-
-        Of equivalent angles those within the hinges' ranges; without ranges, those that go on from
-        the frame before.
-
-        Raises
-        ------
-        ConfigError
-            there are three hinges, not at right angles one to the next.
-        """
-        axes = torch.from_numpy(self.axes)
-        if len(axes) == 1:
-            angles = rotations.twist_angle(turned, axes[0])[:, None].numpy()
-        elif len(axes) == 2:
-            angles = _two_angles(turned, axes[0], axes[1])
-        else:
-            angles = self._three_angles(turned)
-        unlimited = ~np.isfinite(self.ranges[:, 0])
-        angles[:, unlimited] = np.unwrap(angles[:, unlimited], axis=0)
-        return torch.from_numpy(self._near_ranges(angles))
-
-    def _three_angles(self, turned: Tensor) -> np.ndarray:
-        first, second, third = self.axes
-        if abs(first @ second) > 1e-6 or abs(second @ third) > 1e-6:
-            raise ConfigError(
-                f"The hinges of body '{self.name}' are not at right angles to one another; a clip "
-                "cannot be mapped on them."
-            )
-        turn = Rotation.from_quat(turned.numpy(), scalar_first=True)
-        angles = turn.as_davenport(self.axes, "intrinsic")
-        # Half a turn about the first and the third axis is one about the second and its mirror image.
-        between = np.arctan2(np.cross(first, third) @ second, first @ third)
-        other = np.stack(
-            (angles[:, 0] + np.pi, -angles[:, 1] - 2.0 * between, angles[:, 2] + np.pi), axis=1
-        )
-        better = self._excess(other) < self._excess(angles) - 1e-9
-        return np.where(better[:, None], other, angles)
-
-    def _near_ranges(self, angles: np.ndarray) -> np.ndarray:
-        """The angles, whole turns added so that they are nearest to the middle of their range."""
-        limited = np.isfinite(self.ranges[:, 0])
-        middle = np.where(limited[:, None], self.ranges, 0.0).mean(axis=1)
-        turns = np.round((angles - middle) / (2.0 * np.pi))
-        return np.where(limited, angles - 2.0 * np.pi * turns, angles)
-
-    def _excess(self, angles: np.ndarray) -> np.ndarray:
-        """(F,) rad: by how much the angles are out of their ranges."""
-        near = self._near_ranges(angles)
-        beyond = np.maximum(self.ranges[:, 0] - near, near - self.ranges[:, 1])
-        return np.clip(beyond, 0.0, None).sum(axis=1)
-
-
 class Character:
     """A model with a free root, whose other bodies hang on ball joints or on up to three hinges.
 
-    F frames, J joints (the root first, parents before children), nq as in MuJoCo. Of several free bodies
-    the root is the one on which the most joints hang, the first of these; the others are things.
+    F frames, J joints (the root first, parents before children), nq as in MuJoCo. Of several free bodies, the root is
+    the first one with the most joints below it; the others are things.
 
     Hinges of one body at different points also move it a little. ``qpos`` and all that is computed from
     it have that; a clip, whose joints only turn, has not.
@@ -302,7 +235,7 @@ class Character:
 
     @cached_property
     def company(self) -> dict[str, int]:
-        """By the first body of what else moves on joints in the model, another robot: how many it has."""
+        """What else moves on joints in the model, such as another robot: by its first body, how many joints it has."""
         model, found = self.model, dict[str, int]()
         for joint in range(model.njnt):
             first = int(model.body_rootid[model.jnt_bodyid[joint]])
@@ -314,7 +247,7 @@ class Character:
         return self.model.body(body).name or f"body{body}"
 
     def _at_rest(self) -> None:
-        """Where the joints are in the zero pose, in the root's frame."""
+        """Find where the joints are in the zero pose, in the root's frame."""
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
@@ -338,7 +271,7 @@ class Character:
         self._anchors = anchors
 
     def _tips(self, parents: np.ndarray) -> dict[str, np.ndarray]:
-        """Of joints without children: the farthest point of what they carry along its main axis."""
+        """For joints without children: the farthest point of what they carry, along its main axis."""
         tips = {}
         for row, joint in enumerate(self.joints):
             if row in parents:
@@ -367,7 +300,7 @@ class Character:
 
     @cached_property
     def length(self) -> float:
-        """m: how far the figure reaches in the zero pose, between the surfaces farthest apart."""
+        """m: the figure's size in the zero pose, between the surfaces that are farthest apart."""
         geoms = [(g.centre, self.model.geom_rbound[g.id]) for g in self.geoms]
         return max(
             (float(np.linalg.norm(a - b)) + r + s for a, r in geoms for b, s in geoms), default=1.0
@@ -387,7 +320,7 @@ class Character:
 
     @cached_property
     def geoms(self) -> tuple[Geom, ...]:
-        """Of these the ones that collide, if any does."""
+        """The geoms that collide; all of them if none does."""
         model = self.model
         colliding = tuple(
             g for g in self.shown if model.geom_contype[g.id] or model.geom_conaffinity[g.id]
@@ -398,7 +331,7 @@ class Character:
 
     def qpos(self, clip: Clip, times: Tensor | None = None) -> Tensor:
         """``qpos`` (F, nq) float64 of `clip` at `times` (F,) s (at its own frames if None), mapped by
-        joint name. Rotations that a joint's hinges cannot make are brought to the nearest they can.
+        joint name. A rotation that a joint's hinges cannot make becomes the nearest one that they can.
 
         Raises
         ------
@@ -452,8 +385,8 @@ class Character:
         }
 
     def posed(self, clip: Clip) -> Clip:
-        """`clip` itself; or if it has a robot's angles in place of joints
-        (:mod:`understudy_motion.readers.angles`), the clip of this character with these angles.
+        """`clip` itself; or, if it has a robot's angles instead of joints (:mod:`understudy_motion.readers.angles`), the
+        clip of this character with these angles.
 
         Raises
         ------
@@ -519,7 +452,7 @@ class Character:
 
     @cached_property
     def _rests(self) -> list[Tensor | None]:
-        """Of each joint :attr:`rest_rotations`; None where that is no turn at all."""
+        """For each joint its row of :attr:`rest_rotations`; None if that is the identity."""
         found = torch.from_numpy(self.rest_rotations.as_quat(scalar_first=True))
         still = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
         return [None if torch.equal(rest, still) else rest for rest in found]
@@ -527,8 +460,7 @@ class Character:
     # ------------------------------------------------------------------ geometry
 
     def clearance(self, qpos: Tensor) -> Tensor:
-        """(F, J): height in m of the lowest point of what each joint carries above z = 0; infinite
-        where it carries nothing."""
+        """(F, J) m: the height above z = 0 of the lowest point of what each joint carries; infinite if it carries nothing."""
         ids = [geom.id for geom in self.geoms]
         model, data = self.model, self.data
         places, axes = np.empty((len(qpos), model.ngeom, 3)), np.empty((len(qpos), model.ngeom, 9))
@@ -582,13 +514,3 @@ class Geom:
     id: int
     joint: int
     centre: np.ndarray
-
-
-def _two_angles(turned: Tensor, first: Tensor, second: Tensor) -> np.ndarray:
-    """(F, 2) rad: of two hinges, from where the second axis gets to; exact where they can turn so."""
-    moved = rotations.rotate(turned, second)
-    level = moved - (moved @ first)[:, None] * first
-    across = torch.linalg.cross(first, second)
-    angle = torch.atan2(level @ across, level @ second - (second @ first) * (level @ first))
-    undone = rotations.multiply(rotations.from_axis_angle(first, -angle), turned)
-    return torch.stack((angle, rotations.twist_angle(undone, second)), dim=1).numpy()

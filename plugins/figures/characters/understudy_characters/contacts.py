@@ -39,7 +39,7 @@ def foot_points(character: Character) -> dict[str, Tensor]:
 
 
 def latched(begins: Tensor, holds: Tensor) -> Tensor:
-    """(F,) bool: true from a frame that `begins` for as long as it `holds`; what begins holds."""
+    """(F,) bool: true from a frame that `begins` for as long as it `holds`; a frame that begins also holds."""
     frames = torch.arange(len(begins))
     begun = torch.where(begins, frames, -1).cummax(dim=0).values
     ended = torch.where(holds, -1, frames).cummax(dim=0).values

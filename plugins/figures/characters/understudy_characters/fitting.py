@@ -1,4 +1,4 @@
-"""Which character's shapes a clip is shown with."""
+"""Chooses the character whose shapes show a clip."""
 
 from __future__ import annotations
 

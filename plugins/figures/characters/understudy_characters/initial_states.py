@@ -28,8 +28,8 @@ class ReferenceStates(InitialStates):
 
 
 def reference_states(reference: ReferenceMotion, time: Tensor) -> dict[str, Tensor]:
-    """What initial states return for episodes that begin at `time` (N,) s of the clip: what is in the
-    floor there is raised out of it."""
+    """What initial states return for episodes that begin at `time` (N,) s of the clip; a figure that is in the floor is
+    raised out of it."""
     state = reference.sample(time)
     qpos = state["reference_qpos"]
     if reference.sinks:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_characters.character import Character, Joint
+from understudy_characters.character import Character
+from understudy_characters.joint import Joint
 from understudy_tensors import rotations
 
 __all__ = ["Kinematics", "Poses"]
@@ -109,8 +110,8 @@ class Kinematics:
         return rotations.multiply(local, rotations.conjugate(rest))
 
     def aimed(self, position: Tensor, goals: Mapping[int, Tensor]) -> Tensor:
-        """``qpos`` (F, nq) with the root at `position` (F, 3), whose joints turn as near to `goals` as
-        each can, given how far those before it got; a joint without a goal is in the zero pose.
+        """``qpos`` (F, nq) with the root at `position` (F, 3). Each joint turns as near to its goal as it can, given how far
+        those before it got; a joint without a goal is in the zero pose.
 
         Parameters
         ----------
@@ -165,7 +166,7 @@ class Kinematics:
         return self.within_ranges(result)
 
     def within_ranges(self, qpos: Tensor) -> Tensor:
-        """``qpos`` (F, nq) with hinges beyond their ranges at the ends of these."""
+        """``qpos`` (F, nq) with hinges clamped to their ranges."""
         low, high = self.hinge_ranges.unbind(-1)
         angles = torch.minimum(torch.maximum(qpos[:, self.hinge_addresses], low), high)
         return qpos.index_copy(1, self.hinge_addresses, angles)

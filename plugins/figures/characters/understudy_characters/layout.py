@@ -1,4 +1,4 @@
-"""Where a character's parts are in MuJoCo's arrays, and which of them are limbs, from its model alone.
+"""Where a character's parts are in MuJoCo's arrays, and which of them are limbs; known from its model.
 
 L links (all bodies of the figure, in the model's order), J joints (those of a clip without the root),
 E end-effectors, U actuators.
@@ -140,8 +140,8 @@ def layout_of(character: Character, end_effectors: Sequence[str] = ()) -> Layout
 def limb_ends(character: Character) -> list[int]:
     """Body ids of the ends of the limbs, in the model's order.
 
-    The tree of bodies is taken apart into chains, the longest first: each begins at the root or
-    beside a longer one, and goes on to the farthest end that hangs there.
+    The tree of bodies is divided into chains, the longest first: each begins at the root or at a longer chain, and
+    continues to the farthest end that hangs there.
     """
     model, place = character.model, character.zero_pose
     bodies = sorted(character.carrier)

@@ -1,8 +1,8 @@
-"""What becomes of a body that is let go in a clip's own state: whether its flights can be flown.
+"""What happens to a body that is let go in a clip's own state: whether its flights are physically possible.
 
-In flight nothing but gravity acts: whoever begins there flies along a parabola and keeps its angular
-momentum, whatever its muscles do. Where that ends beside the clip by more than a learner's bounds
-allow, episodes that begin there fail, most of them.
+In flight only gravity acts: a body that begins there flies along a parabola and keeps its angular momentum,
+whatever its muscles do. If that ends farther from the clip than a learner's bounds allow, most episodes that begin
+there fail.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FALL = 1.5
 
 @dataclass(frozen=True)
 class LettingGo:
-    """Of N starts, evenly spread over a clip, each let go in the clip's state."""
+    """N starts, evenly spread over a clip, each let go in the clip's state."""
 
     times: np.ndarray  #: (N,) s
     falls: np.ndarray  #: (N,) s until the lowest point is down; 0 of starts on the floor
@@ -53,7 +53,7 @@ class LettingGo:
 
     @property
     def share(self) -> float:
-        """Of the starts, how many are bad."""
+        """The share of bad starts."""
         return float(self.bad.mean())
 
     def by_phase(self, bins: int) -> np.ndarray:
@@ -64,7 +64,7 @@ class LettingGo:
 
 
 def landed(clip: Clip) -> LettingGo:
-    """Of a clip in which nobody gets higher than :data:`LOW`."""
+    """For a clip in which the figure never gets higher than :data:`LOW`."""
     count = max(2, round(clip.duration * STARTS))
     nothing = np.zeros(count)
     return LettingGo(clip.duration / count * np.arange(count), nothing, nothing, nothing)
@@ -72,7 +72,7 @@ def landed(clip: Clip) -> LettingGo:
 
 @dataclass(frozen=True)
 class Bodies:
-    """A figure at F times as one body: where it is, how it turns, and how hard that is to change."""
+    """A figure at F times as one body: its place, its rotation and its inertia."""
 
     centres: np.ndarray  #: (F, 3) m, the centre of mass
     speeds: np.ndarray  #: (F, 3) m/s
@@ -123,7 +123,7 @@ def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> Letting
     character
         moves as the clip says.
     floor
-        what of the motion training puts on the floor (``motion.floor``).
+        which height of the motion training puts on the floor (``motion.floor``).
     """
     layout = _layout_of(character)
     reference = ReferenceMotion(clip, character, layout, control_dt=CONTROL, floor=floor)

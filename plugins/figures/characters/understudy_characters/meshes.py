@@ -1,7 +1,7 @@
-"""Meshes of furniture as convex parts, which is what a physics engine collides.
+"""Meshes of furniture as convex parts, which physics engines can collide.
 
-A mesh may be a stranger's, and a few bytes of glTF have its reader compute for minutes or allocate without
-end. So it is read in a process of its own, within limits; what ends there costs that process alone.
+A mesh may be a stranger's, and a few bytes of glTF can make its reader compute for minutes or allocate without
+end. So it is read in a process of its own, within limits.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _known: dict[bytes, list[np.ndarray]] = {}
 def convex_parts(path: Path, scale: float = 1.0) -> list[np.ndarray]:
     """The convex hulls, (V, 3) m each, of the connected parts of a mesh file (OBJ, STL, PLY, glTF).
 
-    A chair whose seat, back and legs are parts of their own is as it looks; parts that are not convex
-    become their hulls.
+    A chair whose seat, back and legs are separate parts keeps its shape; parts that are not convex become their
+    hulls.
 
     Raises
     ------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,9 @@ import torch
 from understudy.errors import ConfigError, FileError
 from understudy.records import runs
 from understudy.records.runs import Run
+from understudy.setup.building import build_scene
 from understudy.setup.config import Experiment
-from understudy.task import Context, Scene
+from understudy.task import Scene
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene, other_bodies
 from understudy_motion.clip import Clip, Skeleton
@@ -30,7 +30,6 @@ __all__ = [
     "recorded_scene",
     "recorded_surroundings",
     "run_character",
-    "scene_of",
     "unsimulated",
 ]
 
@@ -157,7 +156,9 @@ def recorded_scene(run: Run) -> Scene:
         for name, options in experiment.sections.items()
         if name != "motion"  # its clip may not be there any more
     }
-    return scene_of(experiment, sections)
+    scene = build_scene(experiment, sections).scene
+    assert scene is not None
+    return scene
 
 
 def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
@@ -216,25 +217,8 @@ def unsimulated(run: Run) -> Experiment:
     return run.experiment(config=config)
 
 
-def scene_of(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
-    """The scene of `experiment` on the CPU, as for one world, with the `sections` that it needs."""
-    control = experiment.root.control
-    context = Context(
-        seed=0,
-        device=torch.device("cpu"),
-        num_worlds=1,
-        control_dt=1.0 / control.frequency,
-        substeps=control.substeps,
-        registry=experiment.registry,
-        inputs=experiment.inputs,
-        sections=dict(sections),
-        chosen=experiment.choices,
-    )
-    return experiment.need("scene").build(context)
-
-
 def _character(experiment: Experiment) -> Character:
-    scene, name = scene_of(experiment, {}), experiment.need("scene").component.name
+    scene, name = build_scene(experiment, {}).scene, experiment.need("scene").component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
     if isinstance(scene, CharacterScene):

@@ -1,4 +1,4 @@
-"""Rooms: furniture and walls as boxes that a detector found, and the camera that saw them.
+"""Rooms: furniture and walls that a detector found, as boxes, and the camera that saw them.
 
 A scene is a JSON file::
 
@@ -54,8 +54,8 @@ class Box:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole: position (3,) m, rotation (3, 3) from its frame (x right, y down, z ahead) to the
-    scene's, focal lengths and centre in pixels."""
+    """A pinhole camera: position (3,) m, rotation (3, 3) from its frame (x right, y down, z ahead) to the scene's, focal
+    lengths and centre in pixels."""
 
     position: np.ndarray
     rotation: np.ndarray
@@ -178,7 +178,7 @@ def _photo(name: Any, folder: Path) -> Path:
 
 
 def seen_from(scene: RoomScene, origin: Box) -> tuple[list[Box], Camera]:
-    """All boxes but `origin`, and the camera, in that one's frame: on the floor below it, x where it faces."""
+    """All other boxes and the camera in the frame of `origin`, which is on the floor below it, with x where it faces."""
     cosine, sine = math.cos(-origin.heading), math.sin(-origin.heading)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     floor = np.array([origin.centre[0], origin.centre[1], 0.0])
@@ -196,7 +196,7 @@ def seen_from(scene: RoomScene, origin: Box) -> tuple[list[Box], Camera]:
 
 
 def add_boxes(spec: mujoco.MjSpec, boxes: Iterable[Box]) -> None:
-    """Add what a figure runs into, ``room_0`` and so on."""
+    """Add boxes that a figure runs into, as ``room_0`` and so on."""
     for number, box in enumerate(boxes):
         geom = spec.worldbody.add_geom(
             name=f"room_{number}", type=mujoco.mjtGeom.mjGEOM_BOX,

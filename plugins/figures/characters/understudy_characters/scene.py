@@ -34,7 +34,8 @@ from understudy_motion.section import Motion
 from understudy_motion.writing import Shape
 from understudy_mujoco.contact import Contact
 from understudy_mujoco.scene import MujocoScene
-from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
+from understudy_mujoco.scenery import Camera
+from understudy_mujoco.studio import LEARNED, REFERENCE, Figure
 from understudy_mujoco.studio import draw as draw_figures
 
 __all__ = ["CharacterScene", "other_bodies", "reference_motion"]
@@ -56,8 +57,8 @@ class Thing:
 
 
 def other_bodies(character: Character, qpos: np.ndarray) -> Iterator[Thing]:
-    """What the character's model has beside it, moved by `qpos`, (T, nq): each body with geoms, the world's
-    own too; without planes, which have no end, and mocap bodies, of whose places `qpos` says nothing."""
+    """The other bodies with geoms of the character's model, the world's included, moved by `qpos`, (T, nq); without
+    planes, which are infinite, and mocap bodies, whose places are not in `qpos`."""
     model, data = character.model, mujoco.MjData(character.model)
     solid = model.geom_bodyid[model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE]
     drawn = {int(body) for body in solid if model.body_mocapid[body] < 0}
@@ -76,8 +77,8 @@ def _things(
     frames: int,
     arrange: Callable[[int], None],
 ) -> Iterator[Thing]:
-    """Those of the `bodies` that have a surface, as large as in the first frame; `arrange` puts the `data` of
-    the character's model into the state of a frame."""
+    """Those of the `bodies` that have a surface, in their size of the first frame; `arrange` puts the `data` of the
+    character's model into the state of a frame."""
     surfaces: list[list[Shape]] = []
     poses = []
     for frame in range(frames):
@@ -100,7 +101,7 @@ _TIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 def _refuse_what_is_off(name: str, spec: mujoco.MjSpec) -> None:
-    """Raise ConfigError for a model that switches off what a character stands and moves by, as one that is only looked at."""
+    """Raise ConfigError for a model that switches off what a character needs to stand and move, as display models do."""
     option = spec.option
     off = [f'<flag {flag}="disable"/>' for flag, bit in _FLAGS.items() if option.disableflags & bit]
     if any(option.disableactuator >> one.group & 1 for one in spec.actuators):
@@ -113,7 +114,7 @@ def _refuse_what_is_off(name: str, spec: mujoco.MjSpec) -> None:
 
 
 def _warn_of_ties(name: str, character: Character) -> None:
-    """Say so where the figure is held by the world, as in a gantry: it cannot fall."""
+    """Warn if the figure is tied to the world, as in a gantry: it cannot fall."""
     model, own = character.model, set(character.carrier)
     for k in range(model.neq):
         if model.eq_type[k] not in _TIES:
@@ -229,8 +230,8 @@ class CharacterScene(MujocoScene):
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
     ) -> Iterator[np.ndarray]:
-        """The recorded motion; where there is a reference, it in blue and the reference beside it in
-        orange, otherwise in the character's colours."""
+        """The recorded motion in the character's colours; or, if there is a reference, in blue, with the reference beside it in
+        orange."""
         track, reference = tracks["qpos"], tracks.get("reference_qpos")
         at, length = self.layout.root_address, self.character.length
 
@@ -257,8 +258,7 @@ class CharacterScene(MujocoScene):
         return draw_figures(self.shown().compile(), figures, camera, width, height)
 
     def surroundings(self, tracks: Mapping[str, np.ndarray]) -> Iterator[Thing]:
-        """What stands around the character in the recorded `tracks`, each (T, …), as large as in the
-        first frame."""
+        """The surroundings of the character in the recorded `tracks`, each (T, …), in their size of the first frame."""
         character = Character(self.character.name, self.shown().compile())
         model, data = character.model, mujoco.MjData(character.model)
         bodies = [model.body(name).id for name in self._things]
@@ -332,7 +332,7 @@ def reference_motion(context: Context) -> ReferenceMotion:
     Raises
     ------
     ConfigError
-        its clip is over before anything of it is compared.
+        its clip is shorter than a control period.
     """
     scene = context.need_scene(CharacterScene, "the reference motion")
     motion = context.need_section("motion", Motion, "the reference motion")

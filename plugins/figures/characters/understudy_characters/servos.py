@@ -1,4 +1,4 @@
-"""Position servos on all joints of a character: its own, or such that are made for it.
+"""Position servos on all joints of a character: the model's own, or ones made for it.
 
 A servo's velocity gain is ``kd + kp * timestep``: with implicit integration of the velocity term that is
 stable PD (Tan et al. 2011), which compares the target with the position one step ahead, ``q + timestep *
@@ -42,7 +42,7 @@ COARSE_SPEED = 10.0
 
 @dataclass(frozen=True)
 class ServoOptions:
-    """How the servos are made that a model has not got.
+    """How servos are made for a model that lacks them.
 
     With the defaults kd is 0.1 s times kp, the ratio of the released DeepMimic character, whose gains
     :func:`gains` finds from its torque limits to within a factor of two.
@@ -77,7 +77,7 @@ class Drive:
 
 
 def drives(character: Character) -> list[Drive]:
-    """The figure's degrees of freedom but the root's, in the model's order."""
+    """The figure's degrees of freedom without the root's, in the model's order."""
     model = character.model
     ids = [
         model.body_jntadr[joint.body] + k
@@ -104,7 +104,7 @@ def _driven(model: mujoco.MjModel, actuator: int) -> tuple[int, int] | None:
 
 
 def has_servos(character: Character) -> bool:
-    """Whether the model's actuators are position servos, one for each degree of freedom but the root's."""
+    """Whether the model's actuators are position servos, one for each degree of freedom except the root's."""
     model = character.model
     wanted = sorted((drive.joint, drive.axis) for drive in drives(character))
     found = [_driven(model, actuator) for actuator in range(model.nu)]
@@ -140,11 +140,11 @@ def gains_of(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def torque_limits(character: Character) -> np.ndarray:
-    """(U,) N m: how strong each of :func:`drives` is, from the model where it says so.
+    """(U,) N m: the strength of each of :func:`drives`, from the model if it says so.
 
-    A model says it by the limits of its joints' or actuators' forces, or of motors' controls. Else it is
-    :data:`STRENGTH` of the figure's weight, at a lever as long as the figure is, times the cube root of
-    the share of its mass that hangs on the joint. Without gravity its weight is that on Earth.
+    A model says so by limits of its joints' or actuators' forces, or of motors' controls. Otherwise it is
+    :data:`STRENGTH` times the figure's weight (on Earth, if there is no gravity), times its length, times the cube root
+    of the share of its mass that hangs on the joint.
     """
     model = character.model
     stated: dict[tuple[int, int], float] = {}
@@ -244,7 +244,7 @@ def drive(
 ) -> None:
     """Have every joint of `character`, the compiled `spec`, driven by a position servo at `timestep`.
 
-    Other actuators, what senses them, and key frames (which hold controls) are taken out. Joints that
+    Other actuators, their sensors, and key frames (which contain controls) are removed. Joints that
     carry very little get the inertia of the rotor that their torque needs, without which a hand would
     shake; and all get what they need at the `longest` time step that this model is for, this one unless
     given (:func:`steadying_rotors`).
@@ -263,7 +263,7 @@ def drive(
 
 
 def warn_of_shaking(character: Character, timestep: float) -> None:
-    """Warn where a servo of a driven character is too strong for what it moves at this time step."""
+    """Warn if a servo of a driven character is too strong at this time step for what it moves."""
     limits = _most(character)
     speeds = np.where(np.isfinite(limits), limits, 0.0) * timestep / free_inertia(character)
     worst = int(speeds.argmax())
@@ -301,7 +301,7 @@ def _add_rotors(spec: mujoco.MjSpec, character: Character, rotors: np.ndarray) -
 def _make_servos(
     spec: mujoco.MjSpec, character: Character, timestep: float, options: ServoOptions
 ) -> None:
-    """Put servos in the place of all actuators of `character`, the compiled `spec`."""
+    """Replace all actuators of `character`, the compiled `spec`, by servos."""
     for sensor in list(spec.sensors):
         if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR:
             spec.delete(sensor)
@@ -340,7 +340,7 @@ def add_servo(
 
 
 def lags(model: mujoco.MjModel) -> np.ndarray:
-    """(nu,) s: by how much each servo follows a moving target late, (kd + the joint's damping) / kp."""
+    """(nu,) s: how late each servo follows a moving target, (kd + the joint's damping) / kp."""
     kp = model.actuator_gainprm[:, 0]
     dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     kd = -model.actuator_biasprm[:, 2] - kp * model.opt.timestep + model.dof_damping[dofs]

@@ -1,4 +1,4 @@
-"""What a figure looks like: a character's geoms, or bones, as triangle meshes fixed to its joints."""
+"""A figure's surface: a character's geoms, or bones, as triangle meshes fixed to its joints."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def shapes(character: Character, geoms: Sequence[Geom] | None = None) -> list[Sh
 
 
 def body_shapes(character: Character, body: int) -> list[Shape]:
-    """The geoms of `body` of the character's model, whichever they are but planes, in the body's frame."""
+    """All geoms of `body` in the character's model, except planes, in the body's frame."""
     model, found = character.model, []
     name = model.body(body).name or f"body{body}"
     for geom in range(model.ngeom):
@@ -91,7 +91,7 @@ def _mesh(character: Character, geom: int) -> trimesh.Trimesh:
 
 
 def bones(skeleton: Skeleton) -> Iterator[Shape]:
-    """Octahedra from each joint to those that hang on it and to its tip, else a small one about it."""
+    """Octahedra from each joint to its children and its tip; a small one around a joint that has neither."""
     ends: dict[int, list[np.ndarray]] = {row: [] for row in range(len(skeleton.joint_names))}
     for joint, parent in enumerate(skeleton.parents[1:], start=1):
         ends[parent].append(skeleton.offsets[joint])
@@ -127,8 +127,8 @@ def _octahedron(
 
 @lru_cache(maxsize=8)  # each look at a clip asks for it anew
 def surface_points(character: Character) -> tuple[np.ndarray, Tensor]:
-    """Of each geom the vertices that are outermost in 26 directions: the joint's row (P,), in order, and
-    the place in the joint's frame (P, 3)."""
+    """The vertices of each geom that are outermost in 26 directions: their joints' rows (P,), in order, and their places
+    in the joints' frames (P, 3)."""
     grid = np.array(np.meshgrid(*[[-1, 0, 1]] * 3)).reshape(3, -1).T
     directions = grid[np.abs(grid).sum(1) > 0]
     owners, points = [], []

@@ -1,4 +1,4 @@
-"""What a character stands on and is seen by: floor, light and sky, contacts, solver settings."""
+"""The stage of a character: floor, light and sky, contacts, solver settings."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _UPRIGHT = 0.999
 
 
 def stage(spec: mujoco.MjSpec, character: Character) -> None:
-    """Add to `spec`, of which `character` was compiled, what it has not got of a floor, lights that follow
-    the root, a sky. A level floor that it has is brought to z = 0, and all but the character with it."""
+    """Add to `spec`, from which `character` was compiled, what it lacks: a floor, lights that follow the root, a sky. A
+    level floor of its own is moved to z = 0, with everything but the character."""
     geoms = {geom.id: geom for geom in spec.geoms}
     floors = _floors(character)
     solid = [(i, top) for i, top in floors if geoms[i].contype or geoms[i].conaffinity]
@@ -45,9 +45,8 @@ def stage(spec: mujoco.MjSpec, character: Character) -> None:
 
 
 def _floors(character: Character) -> list[tuple[int, float | None]]:
-    """The geoms that the character can stand on, each with the height of its top in m, None if that
-    varies: what is fixed in the world, below the root, and a plane, a height field, or as wide as the
-    character is long."""
+    """The geoms that the character can stand on, with the height of their tops in m (None if it varies): those that are
+    fixed in the world, below the root, and a plane, a height field, or as wide as the character is long."""
     model, data = character.model, character.zero_pose
     root, reach, found = data.xpos[character.root], 0.5 * character.length, []
     for geom in range(model.ngeom):
@@ -84,7 +83,7 @@ def _lower(spec: mujoco.MjSpec, character: Character, height: float) -> None:
 
 
 def free_name(wanted: str, items: Iterable[Any]) -> str:
-    """`wanted`, or with a number if one of these `items` of a model has it."""
+    """`wanted`, with a number if one of these `items` of a model has that name."""
     taken = {item.name for item in items}
     names = (wanted, *(f"{wanted}_{k}" for k in range(2, len(taken) + 3)))
     return next(name for name in names if name not in taken)
@@ -142,8 +141,8 @@ def add_sun(spec: mujoco.MjSpec, root: str) -> None:
 
 
 def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None:
-    """Let the geoms of the bodies `figure` (ids of the compiled `spec`) that collide at all collide with
-    everything else, and with one another on request. If none of them does, all will."""
+    """Let the geoms of the bodies `figure` (ids of the compiled `spec`) that collide at all collide with everything else,
+    and on request with one another. If none of them collides, all will."""
     own = [geom for body in spec.bodies if body.id in figure for geom in body.geoms]
     colliding = [geom for geom in own if geom.contype or geom.conaffinity]
     for geom in colliding or own:
@@ -157,7 +156,7 @@ def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None
 
 
 def make_solid(geom: mujoco.MjsGeom) -> None:
-    """Let a geom that stands around collide with figures, and with nothing else."""
+    """Let a geom of the surroundings collide with figures, and with nothing else."""
     geom.contype, geom.conaffinity = 0, _FIGURE
 
 

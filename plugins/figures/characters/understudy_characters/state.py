@@ -1,7 +1,7 @@
 """The character's state as tasks see it, batched over worlds (N) or frames.
 
-The heading frame has its origin at the root, z up, and x along the root's heading: what is expressed
-in it does not change when the character stands elsewhere or faces another way.
+The heading frame has its origin at the root, z up, and x along the root's heading: coordinates in it do not depend
+on where the character is and which way it faces.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["character_state", "joint_rotations"]
 
 
 def joint_rotations(layout: Layout, qpos: Tensor) -> Tensor:
-    """(N, J, 4): each joint's rotation from where the zero pose has it, in its body's frame there.
+    """(N, J, 4): each joint's rotation from the zero pose, in its body's frame there.
 
     Several hinges of one body are one joint, turned about one after the other.
     """
@@ -89,7 +89,7 @@ def character_state(
 
 
 class Poses:
-    """What :func:`character_state` gives without velocities, of poses that no simulator has."""
+    """The fields of :func:`character_state` without velocities, for poses that are not in a simulator."""
 
     def __init__(self, character: Character, layout: Layout) -> None:
         self._kinematics, self._layout = Kinematics(character), layout

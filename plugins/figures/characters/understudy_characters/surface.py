@@ -1,8 +1,8 @@
 """How low the parts of a character reach, batched.
 
 Every geom is the sum (Minkowski's) of a box and an ellipsoid about the same centre: a capsule is a line
-and a ball, a cylinder a line and a disc. So the lowest point of each is one formula. A mesh is stood
-for by its extreme vertices.
+and a ball, a cylinder a line and a disc. So the lowest point of each is one formula. A mesh is
+represented by its extreme vertices.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _DIRECTIONS = 200
 
 @dataclass(frozen=True)
 class Surface:
-    """The colliding geoms of B links, G to a link; fewer are filled up by repeating one."""
+    """The colliding geoms of B links, G per link; links with fewer repeat one."""
 
     links: Tensor  #: (B,) rows among the layout's links
     centres: Tensor  #: (B, G, 3) m, in the link's frame

@@ -12,9 +12,9 @@ __all__ = ["Surroundings"]
 
 
 class Surroundings(ABC):
-    """A config section that is one of these adds to the model of ``scene=character``.
+    """A config section of this type adds to the model of ``scene=character``.
 
-    Its bodies have no joints; those that worlds or episodes have elsewhere are mocap bodies.
+    Its bodies have no joints; bodies whose place differs between worlds or episodes are mocap bodies.
     """
 
     #: Fields that :meth:`place` wants recorded, where the task has them.
@@ -28,4 +28,4 @@ class Surroundings(ABC):
     def place(  # noqa: B027 - most stand where the model has them
         self, model: mujoco.MjModel, data: mujoco.MjData, recorded: Mapping[str, np.ndarray]
     ) -> None:
-        """Put them where they were in a frame of a recording, of which `recorded` are the fields."""
+        """Put them where they were in a frame of a recording with the fields `recorded`."""

@@ -169,9 +169,8 @@ def load_grip(path: Path) -> Grip:
     except (
         OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError, ConfigError
     ) as error:  # fmt: skip
-        known = (
-            isinstance(error, OSError) and error.strerror
-        )  # without number and path of the system's
+        # without number and path of the system's
+        known = isinstance(error, OSError) and error.strerror
         reason = (
             f"it has no {error}" if isinstance(error, KeyError) else known or str(error).rstrip(".")
         )

@@ -62,9 +62,8 @@ class Poses:
     lower: Tensor  #: (B, 7) the lower stick's position and rotation
     angle: Tensor  #: (B,) rad, between the sticks
     gaps: Tensor  #: (B,) m: the widest gap of what shall touch
-    clearance: (
-        Tensor  #: (B,) m: the least between the hand and a stick, negative where one is inside
-    )
+    #: (B,) m: the least between the hand and a stick, negative where one is inside
+    clearance: Tensor
     cost: Tensor  #: (B,)
     iterations: int
 

@@ -146,7 +146,7 @@ def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Gri
             raise ConfigError(
                 f"There is no grip '{options.name}'.{suggestion(options.name, known)}"
             )
-        path = registry.find("grip", options.name).made()
+        path = registry.find("grip", options.name).call()
     return Grips({_ONLY: load_grip(path)})
 
 

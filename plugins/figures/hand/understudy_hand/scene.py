@@ -52,19 +52,16 @@ class HandScene(MujocoScene):
         size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
         tool: tools.Tool = "sticks"  #: what the hand holds
         object: tools.Thing | None = None  #: what lies on the table; null is nothing
-        below: tools.Thing | None = (
-            None  #: what it is put upon, free to move, too; null is the table
-        )
+        #: what it is put upon, free to move, too; null is the table
+        below: tools.Thing | None = None
         above: tools.Thing | None = None  #: what lies upon it and is to go along; null is nothing
         friction: float = 1.0  #: sliding, of everything (the release)
-        contact: Contact = field(
-            default_factory=Contact
-        )  #: how contacts are solved, where not FIRM
+        #: how contacts are solved, where not FIRM
+        contact: Contact = field(default_factory=Contact)
         #: whether links of different fingers touch one another; not so in the release
         self_collision: bool = False
-        robot: Robot | None = (
-            None  #: another hand than the human one, of a package that is installed
-        )
+        #: another hand than the human one, of a package that is installed
+        robot: Robot | None = None
 
         def __post_init__(self) -> None:
             measures = Measures(self.fingers, self.finger_length, self.size)

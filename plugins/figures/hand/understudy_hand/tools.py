@@ -66,9 +66,8 @@ BODIES: dict[Tool, tuple[str, ...]] = {
 class Gripper:
     """How the two parts of a tool hang together."""
 
-    pivot: tuple[
-        float, float, float
-    ]  #: m: about which the upper part turns, in the lower one's frame
+    #: m: about which the upper part turns, in the lower one's frame
+    pivot: tuple[float, float, float]
     along: float  #: m: where that is on the upper part
     axis: tuple[float, float, float]  #: in the lower part's frame
     zero: float = 0.0  #: rad: how far the upper part is turned where the angle is 0
@@ -147,12 +146,10 @@ class Thing:
     #: m: radius of a sphere; radius and length (of the cylinder) of a capsule; the three sides of a box; none of ``any``
     sizes: tuple[float, ...] = (0.01,)
     density: float = 1000.0  #: kg/m³, of the sticks' wood and the hand alike
-    friction: float | None = (
-        None  #: sliding, with whatever it touches; null is the scene's (figure 5.21 varies it)
-    )
-    rolling: float = (
-        0.0  #: m, of rolling friction: a sphere that has none rolls on for ever (the release)
-    )
+    #: sliding, with whatever it touches; null is the scene's (figure 5.21 varies it)
+    friction: float | None = None
+    #: m, of rolling friction: a sphere that has none rolls on for ever (the release)
+    rolling: float = 0.0
 
     def __post_init__(self) -> None:
         count = {"sphere": 1, "capsule": 2, "box": 3, "any": 0}[self.kind]

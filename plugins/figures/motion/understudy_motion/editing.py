@@ -200,9 +200,8 @@ def _blend_seam(clip: Clip, blend: float) -> Clip:
     q, p, times = clip.rotations, clip.root_position, clip.times
     last = torch.cat((rotations.multiply(turn, q[-1, :1]), q[-1, 1:]))
     pose = rotations.to_exponential_map(rotations.multiply(rotations.conjugate(q[0]), last))
-    steps = rotations.to_exponential_map(
-        rotations.multiply(rotations.conjugate(q[:-1]), q[1:])
-    )  # in the joint's own frame, like the corrections
+    # in the joint's own frame, like the corrections
+    steps = rotations.to_exponential_map(rotations.multiply(rotations.conjugate(q[:-1]), q[1:]))
     first_rate, last_rate = _end_rates(steps, times)
     height = torch.zeros(3, dtype=torch.float64)
     height[2] = p[-1, 2] - p[0, 2]

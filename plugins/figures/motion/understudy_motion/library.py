@@ -63,7 +63,7 @@ def load(
                     f"motion.{option}={value} is of clip files, and {name} is generated. Leave it out."
                 )
         component = registry.find("clip", name)
-        return component.made(
+        return component.call(
             **checked_options(component.options, parameters or {}, "motion.parameters")
         )
     if parameters:

@@ -117,12 +117,30 @@ class Plan:
         return Plan(*parts, min(way.clearance, self.clearance))
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a plan has to do, in tensors of the world frame."""
+
+    task: Task
+    now: Moment
+    start: Tensor  #: (3,) m, of the object's middle
+    goal: Tensor  #: (3,) m; of one that is thrown, where it is let go
+    heading: Tensor  #: () rad, at the start
+    last: Tensor  #: () rad, at the goal
+    others: Things  #: objects that stay
+    error: Tensor | None  #: (3,) m
+    thrown: Throw | None
+    own: Things  #: the object, at the start
+    above: tuple[Things, Things]  #: what lies upon it, at the start and at the goal
+    away: Frames | None  #: waiting, opening and going up first, if something has failed
+
+
 class Planner:
     """Plans for one hand and grip. Deterministic.
 
-    *Limits:* it plans ways, not forces: objects stand still until they are taken, and are
-    spheres, capsules and boxes of the sizes of table 5.2. What is searched at random may
-    miss a way that there is.
+    *Limits:* it plans motions, not forces: objects stand still until they are taken, and are
+    spheres, capsules and boxes of the sizes of table 5.2. The search is partly random, so it
+    may miss a way that exists.
 
     Parameters
     ----------
@@ -220,101 +238,66 @@ class Planner:
         NoPlan
             none was found; the sentence says in which phase, and by how many millimetres.
         """
-        heading = torch.tensor(task.heading, dtype=torch.float64)
-        last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
-        start = heading.new_tensor((*task.start, task.shape.height))
-        goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
-        away = self._away(now) if anew else None
-        thrown = None
-        if task.thrown:  # then it is let go in the air, turned as it was taken
-            thrown = throw(start, goal)
-            goal, last = thrown.release, heading
-        over = task.over(start, heading), task.over(goal, last)
-        around = _united(others, *over)
-        found = choose(task.shape, start, heading, goal, last, now.lower[3:], around, self._holder)
-        own = Things.of([task.shape], start[None, :2], heading[None])
-        everything = _united(others, own, over[0])
+        asked = self._asked(task, now, others, error, anew)
+        found = choose(
+            task.shape, asked.start, asked.heading, asked.goal, asked.last, now.lower[3:],
+            _united(others, *asked.above), self._holder,
+        )  # fmt: skip
         worst: NoPlan | None = None
         for row in range(min(_TRIED, len(found.score))):
             try:
-                return self._complete(
-                    task, now, found, row, start, goal, heading, last, others, everything, over, error, away, thrown
-                )  # fmt: skip
+                return self._complete(found, row, asked)
             except NoPlan as refused:
                 worst = worst or refused
         assert worst is not None
         raise worst
 
-    def _complete(
-        self,
-        task: Task,
-        now: Moment,
-        found: Configurations,
-        row: int,
-        start: Tensor,
-        goal: Tensor,
-        heading: Tensor,
-        last: Tensor,
-        others: Things,
-        everything: Things,
-        over: tuple[Things, Things],
-        error: Tensor | None,
-        away: Frames | None,
-        thrown: Throw | None,
-    ) -> Plan:
+    def _asked(
+        self, task: Task, now: Moment, others: Things, error: Tensor | None, anew: bool
+    ) -> _Asked:
+        heading = torch.tensor(task.heading, dtype=torch.float64)
+        last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
+        start = heading.new_tensor((*task.start, task.shape.height))
+        goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
+        thrown = None
+        if task.thrown:  # it is let go in the air, turned as it was taken
+            thrown = throw(start, goal)
+            goal, last = thrown.release, heading
+        return _Asked(
+            task, now, start, goal, heading, last, others, error, thrown,
+            own=Things.of([task.shape], start[None, :2], heading[None]),
+            above=(task.over(start, heading), task.over(goal, last)),
+            away=self._away(now) if anew else None,
+        )  # fmt: skip
+
+    def _complete(self, found: Configurations, row: int, asked: _Asked) -> Plan:
+        """The plan that takes the object in the configuration `row`."""
         closed, wide = found.closed[row], found.open[row]
         takes, puts = found.turn[row], found.end[row]
 
         def pose(turn: Tensor, angle: Tensor, middle: Tensor) -> Pose:
             return Pose(self._jaws.placed(rotations.to_matrix(turn), angle, middle), turn, angle)
 
-        begin = Pose(now.lower[:3], now.lower[3:], now.angle)
-        if away is not None:
-            begin = Pose(away.place[-1], away.turn[-1], away.angle[-1])
-        # What is put upon another comes nearer to it than the sphere around it.
-        carried = task.shape.height - SUNK if task.upon > 0 else task.shape.reach
-        ways = [
-            Way(self._jaws, begin, pose(takes, wide, start), everything),
-            Way(
-                self._jaws,
-                pose(takes, closed, start),
-                pose(puts, closed, goal if thrown is None else thrown.begin),
-                others,
-                carried,
-            ),
-        ]
-        inner, value = trajectory.find(ways, 1)
-        parts, clear = [], []
-        for k, (way, name) in enumerate(zip(ways, ("approach", "relocate"), strict=True)):
-            frames, least = self._best(way, inner[k], value[k])
-            if least < 0.0:  # then from several starts
-                more, values = trajectory.find([way], _STARTS)
-                frames, least = self._best(way, more[0], values[0])
-            if least < 0.0:
-                raise NoPlan(
-                    f"No plan reaches the goal: in the phase '{name}' something is in the way, by "
-                    f"{-1e3 * least:.1f} mm at the best. Choose another goal, or move what is in the way."
-                )
-            parts.append(frames)
-            clear.append(least)
-        if away is not None:
-            parts[0] = _joined(away, parts[0])
+        arrives = asked.goal if asked.thrown is None else asked.thrown.begin
+        approach, relocate, clear = self._moves(
+            asked, pose(takes, wide, asked.start), pose(takes, closed, asked.start), pose(puts, closed, arrives)
+        )  # fmt: skip
         shares = torch.linspace(0.0, 1.0, round(CLOSING / DT) + 1, dtype=torch.float64)[1:]
-        close = self._turning(takes, wide, closed, start, shares)
+        close = self._turning(takes, wide, closed, asked.start, shares)
         count = round(self._pressing / DT)
         rest = Frames(*(getattr(close, n)[-1:].repeat_interleave(count, 0) for n in _FRAMES))
         close = _joined(close, rest)
-        if thrown is None:
-            free = self._release(puts, closed, goal, shares)
+        if asked.thrown is None:
+            free = self._release(puts, closed, asked.goal, shares)
         else:
-            swing, free = self._swing(puts, closed, thrown)
-            parts[1] = _joined(parts[1], swing)
-            clear.append(float(trajectory.clearance(self._jaws, swing, others).amin()))
-        order = [parts[0], close, parts[1], free]
+            swing, free = self._swing(puts, closed, asked.thrown)
+            relocate = _joined(relocate, swing)
+            clear.append(self._clear(swing, asked.others))
         clear += [
-            float(trajectory.clearance(self._jaws, frames, _united(others, above)).amin())
-            for frames, above in zip((close, free), over, strict=True)
+            self._clear(frames, _united(asked.others, above))
+            for frames, above in zip((close, free), asked.above, strict=True)
         ]
+        order = [approach, close, relocate, free]
         whole = _joined(*order)
         phase = torch.repeat_interleave(
             torch.arange(4), torch.tensor([len(f.angle) for f in order])
@@ -327,29 +310,72 @@ class Planner:
                 f"No plan reaches the goal: on the way the hand or the gripper is {-1e3 * min(clear):.1f} mm in the "
                 "table or an object. Choose another goal, or move what is in the way."
             )
-        if error is not None and error.any():  # from where they are, evenly
-            approach = phase == PHASES.index("approach")
-            share = torch.where(approach, approach.cumsum(0) / approach.sum(), 1.0)
+        if (error := asked.error) is not None and error.any():  # shifted evenly during the approach
+            approaching = phase == PHASES.index("approach")
+            share = torch.where(approaching, approaching.cumsum(0) / approaching.sum(), 1.0)
             whole = Frames(whole.place + share[:, None] * error, whole.turn, whole.angle)
             palm, hand = self._holder.palm(whole.place, matrix)
-        arms = self._arms(now, palm, hand, phase)
-        centre, _ = self._jaws.tips(whole.angle)
-        exact = whole.place if error is None else whole.place - error
-        middle = exact + torch.einsum("nij,nj->ni", matrix, centre)
-        moving, done = phase == 2, phase == 3
-        at = torch.where(moving[:, None], middle, torch.where(done[:, None], goal, start))
-        if thrown is not None:
-            at[done] = thrown.flight(DT * torch.arange(1, int(done.sum()) + 1, dtype=at.dtype))
-        first = rotations.from_heading(heading)
-        turned = rotations.multiply(
-            rotations.multiply(whole.turn, rotations.conjugate(takes)), first
-        )
-        ended = rotations.from_heading(last)
-        rotation = torch.where(moving[:, None], turned, torch.where(done[:, None], ended, first))
         return Plan(
-            torch.cat([whole.place, whole.turn], 1), whole.angle, arms,
-            torch.cat([at, rotation], 1), phase, min(clear),
+            torch.cat([whole.place, whole.turn], 1), whole.angle, self._arms(asked.now, palm, hand, phase),
+            self._object(asked, whole, phase, takes), phase, min(clear),
         )  # fmt: skip
+
+    def _moves(
+        self, asked: _Asked, open_: Pose, taken: Pose, put: Pose
+    ) -> tuple[Frames, Frames, list[float]]:
+        """The approach to `open_`, the relocation from `taken` to `put`, and the clearance of each, m."""
+        task, away = asked.task, asked.away
+        begin = Pose(asked.now.lower[:3], asked.now.lower[3:], asked.now.angle)
+        if away is not None:
+            begin = Pose(away.place[-1], away.turn[-1], away.angle[-1])
+        # An object that is put upon another comes nearer to it than the sphere around it.
+        carried = task.shape.height - SUNK if task.upon > 0 else task.shape.reach
+        everything = _united(asked.others, asked.own, asked.above[0])
+        ways = [
+            Way(self._jaws, begin, open_, everything),
+            Way(self._jaws, taken, put, asked.others, carried),
+        ]
+        inner, value = trajectory.find(ways, 1)
+        parts, clear = [], []
+        for k, (way, name) in enumerate(zip(ways, ("approach", "relocate"), strict=True)):
+            frames, least = self._best(way, inner[k], value[k])
+            if least < 0.0:  # again, from several starts
+                more, values = trajectory.find([way], _STARTS)
+                frames, least = self._best(way, more[0], values[0])
+            if least < 0.0:
+                raise NoPlan(
+                    f"No plan reaches the goal: in the phase '{name}' something is in the way, by "
+                    f"{-1e3 * least:.1f} mm at the best. Choose another goal, or move what is in the way."
+                )
+            parts.append(frames)
+            clear.append(least)
+        approach = parts[0] if away is None else _joined(away, parts[0])
+        return approach, parts[1], clear
+
+    def _clear(self, frames: Frames, things: Things) -> float:
+        """m, the least in all frames."""
+        return float(trajectory.clearance(self._jaws, frames, things).amin())
+
+    def _object(self, asked: _Asked, frames: Frames, phase: Tensor, takes: Tensor) -> Tensor:
+        """(T, 7) where the object is: at the start until it is taken with the sticks turned by `takes`, between
+        their tips while it is moved, and then at the goal, or in flight."""
+        centre, _ = self._jaws.tips(frames.angle)
+        place = frames.place if asked.error is None else frames.place - asked.error
+        middle = place + torch.einsum("nij,nj->ni", rotations.to_matrix(frames.turn), centre)
+        moving, done = phase == 2, phase == 3
+        at = torch.where(
+            moving[:, None], middle, torch.where(done[:, None], asked.goal, asked.start)
+        )
+        if asked.thrown is not None:
+            at[done] = asked.thrown.flight(
+                DT * torch.arange(1, int(done.sum()) + 1, dtype=at.dtype)
+            )
+        first, last = rotations.from_heading(asked.heading), rotations.from_heading(asked.last)
+        turned = rotations.multiply(
+            rotations.multiply(frames.turn, rotations.conjugate(takes)), first
+        )
+        rotation = torch.where(moving[:, None], turned, torch.where(done[:, None], last, first))
+        return torch.cat([at, rotation], 1)
 
     def _best(self, way: Way, inner: Tensor, value: Tensor) -> tuple[Frames, float]:
         """Frames of the cheapest start that is clear, and its clearance; if none is, those of the clearest."""

@@ -1,4 +1,4 @@
-"""Curricula of a difficulty, worlds out of step, and what curricula make of the episodes that end."""
+"""Curricula of a difficulty, worlds that are out of step, and the judging of ended episodes."""
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()

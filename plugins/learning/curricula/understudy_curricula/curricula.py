@@ -19,7 +19,7 @@ from understudy_curricula.episodes import Judged
 
 @dataclass(frozen=True)
 class Knots:
-    """What follows from the difficulty, as (difficulty, value) with rising difficulties."""
+    """A function of the difficulty, as (difficulty, value) with rising difficulties."""
 
     #: Control periods of a decision: the value of the last knot that is not above the difficulty.
     decision: tuple[tuple[float, int], ...] = ()
@@ -76,7 +76,7 @@ class _OfDifficulty(Curriculum):
 
 
 class Linear(_OfDifficulty):
-    """Difficulty rises evenly over the first ``samples`` of a training to the task's."""
+    """The difficulty rises evenly to the task's over the first ``samples`` of a training."""
 
     @dataclass(frozen=True)
     class Options:
@@ -114,7 +114,7 @@ class Linear(_OfDifficulty):
 
 
 class Adaptive(_OfDifficulty):
-    """Difficulty rises by a step whenever recent episodes went well enough, to the task's.
+    """The difficulty rises by a step, up to the task's, whenever recent episodes went well enough.
 
     They are judged together, ``episodes`` or more at a time, by their mean return or the share that
     succeeded; after a step only episodes that begin later count.

@@ -1,4 +1,4 @@
-"""What curricula make of the episodes that ended in a rollout."""
+"""How curricula judge the episodes that ended in a rollout."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Judged", "totals"]
 
 
 def totals(*values: Tensor) -> list[float]:
-    """The sum of each of `values`, of any shape, over all processes that learn together."""
+    """The sum of each of `values`, of any shape, over all processes of the training."""
     return distributed.total(torch.stack([value.double().sum() for value in values])).tolist()
 
 
@@ -25,8 +25,8 @@ class Judged:
         self._name, self._threshold = name, threshold
 
     def digest(self, counted: Tensor, score: Tensor) -> tuple[dict[str, float], bool]:
-        """With the `score` (T, N) of the `counted` (T, N) bool ones: the metric and whether it reaches the
-        threshold, once there are enough, which then count no more; else no metric, and False."""
+        """Add the `score` (T, N) of those that are `counted` (T, N) bool. Once there are enough, the metric and whether it
+        reaches the threshold, after which they are forgotten; else no metric, and False."""
         ended, total = totals(counted, torch.where(counted, score, 0.0))
         self._ended, self._total = self._ended + int(ended), self._total + total
         if self._ended < self._least:

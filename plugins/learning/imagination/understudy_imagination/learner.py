@@ -219,10 +219,7 @@ class Imagination(Learner):
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, own = self.options, self.options.model
         self._skipped.zero_()
-        batch = digest(
-            rollout, self.policy,
-            gamma=options.gamma, gae_lambda=options.td_lambda, td_lambda=options.td_lambda,
-        )  # fmt: skip
+        batch = digest(rollout, self.policy, options.gamma, options.td_lambda, options.td_lambda)
         metrics = {"value_loss": self._fit_critic(batch)}
         metrics["explained_variance"] = explained_variance(rollout)
         newest = Window(

@@ -30,9 +30,8 @@ class _Slot(NamedTuple):
     """The k-th joint of every body that has so many, in the order of the levels."""
 
     joints: Tensor  #: (nb,) rows of the joints' quaternions and angular velocities
-    slide: (
-        Tensor | None
-    )  #: (nb,) rows of the slides' axes times displacements; None: there are none
+    #: (nb,) rows of the slides' axes times displacements; None: there are none
+    slide: Tensor | None
     anchor: Tensor | None  #: (nb, 3) m, in the body; None: all are at the bodies' origins
 
 

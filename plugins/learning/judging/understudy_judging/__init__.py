@@ -1,4 +1,4 @@
-"""A run judged again, on starts that no training drew, and drawn: commands ``evaluate`` and ``render``."""
+"""The commands ``evaluate`` and ``render``, which judge a run again on starts that no training drew, and draw it."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("reinforcement", "skills", "training")

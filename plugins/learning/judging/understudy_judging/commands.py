@@ -27,8 +27,9 @@ from understudy.setup.root import Root
 from understudy_judging.half_step import Finer, compared
 from understudy_skills.folder import run_folder
 from understudy_skills.words import refuse_of_trainings
+from understudy_training.unread import noting, unread
 from understudy_training.watching import observers
-from understudy_training.workflow import judge, unread
+from understudy_training.workflow import judge
 
 __all__ = ["load"]
 
@@ -67,8 +68,8 @@ RENDERS = "renders"
 
 class Evaluate(Command):
     """Judges the newest checkpoint on starts that no training drew, and again at half the time step of
-    physics; writes ``evaluation.json`` and the page. What is judged otherwise, of whatever words follow, has
-    a file of its own: ``evaluation-episodes-4.json``."""
+    physics; writes ``evaluation.json`` and the page. With further words, the
+    result has a file of its own, such as ``evaluation-episodes-4.json``."""
 
     example = "understudy evaluate runs/spacetime-walk-001 episodes=32 checkpoint=best"
 
@@ -107,7 +108,7 @@ class Evaluate(Command):
 
 
 def _declare(parser: argparse.ArgumentParser, *words: str) -> None:
-    """The argument ``run``, and a usage that names the `words` which may follow it."""
+    """Add the argument ``run``, and a usage that names the `words` that may follow it."""
     forms = " ".join(f"[{word}={_FORMS[word]}]" for word in words)
     parser.usage = f"{parser.prog} RUN {forms} [KEY=VALUE …]"
     parser.add_argument("run", help="run folder, or a skill")
@@ -136,9 +137,8 @@ _KEPT = " The run's own result is as it was."
 
 
 class Render(Command):
-    """Judges the newest checkpoint while recording it, and makes the run's pictures and report anew. What
-    is drawn otherwise, of whatever words follow, is a folder of its own in ``RUN/renders``, which serves as a
-    run wherever one is played or exported."""
+    """Judges the newest checkpoint while recording it, and makes the run's pictures and report anew. With
+    further words, they have a folder of their own in ``RUN/renders``, which can be played and exported as a run."""
 
     example = "understudy render runs/spacetime-walk-001 seconds=12 size=960x540 camera=90"
 
@@ -169,14 +169,14 @@ class Render(Command):
 
 
 def _seconds(training: Training, words: Sequence[str]) -> float:
-    """Of the film: as the run has it or the `words` say; as long as usual where it was trained without one."""
+    """The length of the film: the run's, unless the `words` set it; the default if the run had no film."""
     asked = any(word.partition("=")[0] in ("seconds", _PICTURE["seconds"]) for word in words)
     seconds = training.experiment.root.run.video_seconds
     return seconds if asked else seconds or Root().run.video_seconds
 
 
 def _name(words: Sequence[str], chosen: str) -> str:
-    """Of what is judged as `words` say: for files, the same for the same words; none without words."""
+    """A name for files of what is judged as `words` say, the same for the same words; "" without words."""
     words = [f"checkpoint={int(chosen)}" if w.startswith("checkpoint=") else w for w in words]
     text = " ".join(sorted(words))
     plain = re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-.")
@@ -187,8 +187,8 @@ def _name(words: Sequence[str], chosen: str) -> str:
 
 
 def _beside(run: Run, name: str, chosen: str, words: Sequence[str], training: Training) -> Run:
-    """A folder within that of `run` for what is drawn otherwise as `words` say, with what of it plays and
-    exports: policy, inputs, metrics."""
+    """A folder within that of `run` for what is drawn as `words` say, with all that is needed to play and export it:
+    policy, inputs, metrics."""
     own = replace(run, path=run.path / RENDERS / name)
     state, meta = _checkpoint(run, chosen)[0] if chosen else run.newest()
     if "policy" in state:
@@ -224,7 +224,7 @@ def _remove(folder: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove what holds no file of `folder`, of what is in it, and of the folder around it."""
+    """Remove `folder`, the folders in it and the folder around it, as far as they contain no files."""
     inside = sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True)
     for one in (*inside, folder, folder.parent):
         with contextlib.suppress(OSError):  # not empty, or not there
@@ -232,7 +232,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _changed(words: Sequence[str], short: Mapping[str, str]) -> list[str]:
-    """Those of the `words` of a command line that make another task of what was trained."""
+    """The `words` of a command line that change the task that was trained."""
     aside = {*short, *short.values(), "checkpoint", *_WHERE}
     return [word for word in words if word.partition("=")[0] not in aside]
 
@@ -240,8 +240,8 @@ def _changed(words: Sequence[str], short: Mapping[str, str]) -> list[str]:
 def load(
     path: str, words: Sequence[str], short: Mapping[str, str]
 ) -> tuple[Training, Run, Reporter, str]:
-    """The run at `path`, or the skill of that name, with what was learned of it, as `words` of the command line change it, and the
-    name of the checkpoint if they choose one.
+    """The run at `path`, or the skill of that name, with what it learned, as `words` of the command line change it; and the
+    name of the checkpoint, if they choose one.
 
     Words are overrides; those of `short` set what the run recorded and nothing else.
     """
@@ -261,7 +261,7 @@ def load(
         most = config["evaluation"].get("episodes")
         asked = _value("episodes", own["episodes"])
         _set(config, "evaluation.episodes", min(most, asked) if type(most) is int else asked)
-    experiment = run.experiment(config=config)
+    experiment = noting(run.experiment(config=config))
     options = experiment.root.evaluation
     if "evaluation.episodes" in given and options.episodes < options.final_episodes:
         tell(
@@ -284,8 +284,8 @@ def load(
 
 
 def _checkpoint(run: Run, chosen: str) -> tuple[tuple[Any, Any], str]:
-    """The (state, meta) of the checkpoint `chosen`, and its name: made after that iteration, the ``last``,
-    the ``best`` by the evaluations in between, or nearest to a share of the training (``0.5``, ``50%``)."""
+    """The (state, meta) of the checkpoint `chosen`, and its name. It is the one after that iteration, the ``last``, the
+    ``best`` by the evaluations in between, or the nearest to a share of the training (``0.5``, ``50%``)."""
     there = {path.name: path for path in checkpoint.newest(run.checkpoints)}
     kept = sorted(int(name) for name in there if name.isdigit())
     name = chosen.rpartition("/")[2].partition(".")[0]
@@ -311,7 +311,7 @@ def _checkpoint(run: Run, chosen: str) -> tuple[tuple[Any, Any], str]:
 
 
 def _share(text: str) -> float | None:
-    """What of 1 `text` is, if it is a share: ``0.5`` or ``50%``."""
+    """The number that `text` stands for, if it is a share: ``0.5`` or ``50%``."""
     number, percent, rest = text.partition("%")
     if rest or not re.fullmatch(r"[0-9]*\.?[0-9]+", number) or not (percent or "." in number):
         return None
@@ -320,13 +320,13 @@ def _share(text: str) -> float | None:
 
 
 def _nearest(kept: Sequence[int], share: float) -> int:
-    """Of the iterations with a checkpoint the one nearest to this `share` of the last; of two the later."""
+    """The iteration with a checkpoint that is nearest to this `share` of the last; of two, the later."""
     return min(kept, key=lambda iteration: (abs(iteration - share * kept[-1]), -iteration))
 
 
 def _best(run: Run, kept: Sequence[int]) -> int:
-    """Of the iterations with a checkpoint the one that succeeded most, and then the longest trained; by
-    the returns of its own episodes where nothing was evaluated."""
+    """The iteration with a checkpoint that succeeded most, and of equal ones the last; by the returns of training episodes
+    if nothing was evaluated."""
     for figure in ("evaluation/success_rate", "episode/return"):
         found: dict[int, float] = {}
         for row in run.metrics():

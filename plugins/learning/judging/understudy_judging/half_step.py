@@ -1,7 +1,7 @@
 """Whether a motion depends on the time step of its physics.
 
-A result that half the time step takes away belongs to the solver, not to the character. Judged are the
-same starts with the same policy and the same model.
+A result that half the time step takes away belongs to the solver, not to the character. Both judgements have the
+same starts, policy and model.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class Finer(Protocol):
 
 
 def difference(first: Judgement, second: Judgement) -> tuple[float, float, float] | None:
-    """By how much the success rate of `second` is above that of `first`, and the ends of its 95 % interval;
-    None where nothing counts as success.
+    """The success rate of `second` minus that of `first`, and the ends of its 95 % interval; None if there is no
+    success.
 
     Newcombe's hybrid score interval of a difference of independent shares (Newcombe 1998, method 10). Starts
     that are the same make it too wide, never too narrow, as long as worlds do not part for the worse.

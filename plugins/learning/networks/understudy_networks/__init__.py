@@ -1,4 +1,4 @@
-"""Networks, the policies made of them, and what every learner has in common."""
+"""Networks, the policies made of them, and what learners share."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("reinforcement",)

@@ -1,4 +1,4 @@
-"""Averages over the processes of a training; in one process, over what it has."""
+"""Averages over the processes of a training, which may be a single one."""
 
 from __future__ import annotations
 

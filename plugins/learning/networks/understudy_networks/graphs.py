@@ -1,4 +1,4 @@
-"""Work on the GPU that is captured once and replayed: a launch costs more than many a kernel."""
+"""Work on a GPU that is captured once and replayed: launching a small kernel costs more than running it."""
 
 from __future__ import annotations
 

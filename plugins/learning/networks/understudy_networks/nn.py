@@ -37,7 +37,7 @@ _WIDE = 2**18
 
 @functools.cache
 def _onednn_is_faster() -> bool:
-    """Whether oneDNN's float32 products take less time than MKL's, which has AVX-512 for Intel alone."""
+    """Whether oneDNN's float32 products are faster than MKL's, which uses AVX-512 on Intel only."""
     if not (torch.backends.mkldnn.is_available() and torch.backends.mkl.is_available()):
         return False
     known = getattr(torch.cpu, "get_capabilities", dict)()  # newer than the oldest torch we run on
@@ -117,7 +117,7 @@ def scaled(linear: _Layer, scale: float = math.sqrt(2.0)) -> _Layer:
 
 
 def relu() -> nn.Module:
-    """In place: what enters it is needed by nobody else, and memory is what small layers cost."""
+    """In place: nobody else needs its input, and small layers are limited by memory."""
     return nn.ReLU(inplace=True)
 
 
@@ -161,7 +161,7 @@ class RunningNormaliser(nn.Module):
         self._prepare()
 
     def _prepare(self) -> None:
-        """What each pass needs of the statistics, in its number format."""
+        """Compute what each pass needs of the statistics, in its number format."""
         self._centre.copy_(self.mean)
         self._scale.copy_(torch.rsqrt(self.variance + 1e-4))
 
@@ -256,7 +256,7 @@ class Categorical(Distribution):
 
 @dataclass(frozen=True)
 class Joint(Distribution):
-    """Independent distributions side by side, each of as many columns as in `widths`."""
+    """Independent distributions side by side; `widths` are their numbers of columns."""
 
     parts: tuple[Distribution, ...]
     widths: tuple[int, ...]

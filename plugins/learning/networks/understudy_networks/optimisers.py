@@ -94,7 +94,7 @@ def sgd(
 
 
 def gradient_views(parameters: Sequence[nn.Parameter], flat: Tensor) -> None:
-    """Make the gradients of `parameters` views of `flat` (P,), so that one operation does for all."""
+    """Make the gradients of `parameters` views of `flat` (P,), so that one operation handles all of them."""
     sizes = [p.numel() for p in parameters]
     for p, piece in zip(parameters, flat.split(sizes), strict=True):
         p.grad = piece.view_as(p)
@@ -107,10 +107,10 @@ def differentiate(loss: Tensor, parameters: Sequence[nn.Parameter], flat: Tensor
 
 
 def step(optimiser: Optimizer, unsound: Tensor, divisor: Tensor | None = None) -> None:
-    """One step with the gradients over `divisor` (); where `unsound` () is 1.0 instead of 0.0, weights
-    and moments stay as they were.
+    """One step with the gradients divided by `divisor` (); if `unsound` () is 1.0 instead of 0.0, weights and
+    moments stay as they were.
 
-    Both happen within the optimiser's own kernel, and a GPU is not waited for.
+    Both happen within the optimiser's own kernel, without waiting for the GPU.
     """
     optimiser.found_inf = unsound  # pyright: ignore[reportAttributeAccessIssue]
     optimiser.grad_scale = divisor  # pyright: ignore[reportAttributeAccessIssue]
@@ -128,7 +128,7 @@ def state_of(optimiser: Optimizer) -> State:
 
 
 def load_state(optimiser: Optimizer, state: State) -> None:
-    """Restore what :func:`state_of` returned; ValueError if that is not of these parameters."""
+    """Restore what :func:`state_of` returned; a ValueError if it belongs to other parameters."""
     parameters = optimiser.param_groups[0]["params"]
     adaptive = "betas" in optimiser.defaults
     names = {"step", "exp_avg", "exp_avg_sq"} if adaptive else {"momentum_buffer"}
@@ -146,7 +146,7 @@ def load_state(optimiser: Optimizer, state: State) -> None:
 
 
 def refuse_hopeless(bad: int, patience: int, what: str = "optimiser steps") -> None:
-    """An error once `patience` of `what` in a row were not finite."""
+    """Raise an error once `patience` of `what` in a row were not finite."""
     if bad >= patience:
         raise TrainingError(
             f"{bad} {what} in a row had a non-finite loss or gradient. The usual causes "

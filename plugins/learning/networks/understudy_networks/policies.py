@@ -1,4 +1,4 @@
-"""Policies that papers share: two MLPs, or two small convolutional networks with MLPs.
+"""Policies for several papers: two MLPs, or two small convolutional networks with MLPs.
 
 Both take any action space: one head gives the means of all boxes and the logits of all choices. The
 boxes' deviation does not depend on the state; it is scheduled or learned.
@@ -42,9 +42,8 @@ class MLPPolicy(Policy):
 
     @dataclass(frozen=True)
     class Options:
-        observation: str | tuple[str, ...] = (
-            "state"  #: name of the encoder read, or several in their order
-        )
+        #: name of the encoder read, or several in their order
+        observation: str | tuple[str, ...] = "state"
         #: What the critic reads in its place, which the actor need not know; null is what the actor reads.
         critic: str | tuple[str, ...] | None = None
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
@@ -226,7 +225,7 @@ def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
 
 
 def action_space(context: Context, who: str) -> ActionSpace:
-    """What the policy decides; an error names `who` needs it."""
+    """What the policy decides; a ConfigError says that `who` needs it."""
     if context.action_space is None:
         raise ConfigError(f"{who} needs an action space, and the task's actuation gives none.")
     return context.action_space
@@ -264,7 +263,7 @@ def seen_by(actor: Names, critic: Names | None) -> tuple[tuple[str, ...], tuple[
 
 
 def joined_size(context: Context, names: tuple[str, ...], who: str) -> int:
-    """Of the flat observations `names` side by side."""
+    """The size of the flat observations `names` side by side."""
     return sum(observation_size(context, name, who) for name in names)
 
 
@@ -279,7 +278,7 @@ def observe_joined(
     observations: Mapping[str, Tensor],
     names: tuple[str, ...],
 ) -> None:
-    """Let a network's normaliser, if it has one of its own, see the flat observations `names`, if there are any."""
+    """Let a network's own normaliser, if it has one, observe the flat observations `names`."""
     if normaliser is not None and names:
         normaliser.observe(joined(observations, names))
 
@@ -304,13 +303,13 @@ def log_deviation(space: ActionSpace, noise: Schedule, learned: bool) -> nn.Para
 def anneal(
     deviation: nn.Parameter, options: MLPPolicy.Options | CNNPolicy.Options, samples: int
 ) -> None:
-    """Set a :func:`log_deviation` to what the schedule has after `samples`, unless it is learned."""
+    """Set a :func:`log_deviation` to the schedule's value after `samples`, unless it is learned."""
     if not options.learn_noise:
         deviation.fill_(options.noise.at(samples)).log_()
 
 
 def check_names(options: object, *names: str) -> None:
-    """A ValueError names the option that lists no observation, or one twice."""
+    """Raise a ValueError for an option that lists no observation, or one twice."""
     for name in names:
         given = getattr(options, name)
         if isinstance(given, tuple) and (not given or len(set(given)) < len(given)):
@@ -320,7 +319,7 @@ def check_names(options: object, *names: str) -> None:
 
 
 def check_units(name: str, units: tuple[int, ...]) -> None:
-    """Raise a ValueError where hidden layers of so many `units` are none, or too large."""
+    """Raise a ValueError if hidden layers of so many `units` are missing or too large."""
     if any(count < 1 for count in units):
         raise ValueError(f"{name}={units} is not possible: every layer needs a unit.")
     sizes = [1, *units, 1]

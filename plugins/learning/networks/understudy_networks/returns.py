@@ -1,4 +1,4 @@
-"""What learners make of a rollout before they learn: values, advantages, value targets."""
+"""Values, advantages and value targets of a rollout."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def lambda_advantages(
     ----------
     rewards, values : (T, N)
     next_values : (T, N)
-        value of the state that followed each step: zero after a terminal one, the value of the cut
-        state after a truncation.
+        value of the state that followed each step: zero after a terminal one, the value of the last state
+        after a truncation.
     continues : (T, N) float
         1 where the next row belongs to the same episode, else 0.
 
@@ -49,7 +49,7 @@ def lambda_advantages(
 
 @torch.no_grad()
 def digest(
-    rollout: Rollout, policy: Policy, *, gamma: float, gae_lambda: float, td_lambda: float
+    rollout: Rollout, policy: Policy, gamma: float, gae_lambda: float, td_lambda: float
 ) -> dict[str, Tensor]:
     """Set the rollout's values and TD(lambda) returns, and make one batch of its B = T·N steps.
 

@@ -1,4 +1,4 @@
-"""What jobs that train one network by gradient descent on a loss have in common."""
+"""A base for jobs that train one network by gradient descent on a loss."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ N = TypeVar("N", bound=nn.Module)
 
 
 class NetworkJob(Job, Generic[N]):
-    """Trains ``network`` by Adam; what is drawn comes from ``generator``. Both are the job's state."""
+    """Trains ``network`` by Adam, with random numbers of ``generator``. Both are the job's state."""
 
     network: N
     generator: torch.Generator

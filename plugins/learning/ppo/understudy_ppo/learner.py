@@ -164,13 +164,7 @@ class PPO(Learner):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self.options
-        batch = digest(
-            rollout,
-            self.policy,
-            gamma=options.gamma,
-            gae_lambda=options.gae_lambda,
-            td_lambda=options.td_lambda,
-        )
+        batch = digest(rollout, self.policy, options.gamma, options.gae_lambda, options.td_lambda)
         if options.advantage_clip is not None:
             batch["advantages"].clamp_(-options.advantage_clip, options.advantage_clip)
         if options.kl_penalty is not None:

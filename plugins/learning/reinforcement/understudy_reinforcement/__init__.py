@@ -1,4 +1,4 @@
-"""Reinforcement learning: what a run iterates that names no job."""
+"""Reinforcement learning: the job of a run that names none."""
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Collects rollouts of fixed length; episodes run on across rollouts."""
+"""Collects rollouts of fixed length; episodes continue from one rollout to the next."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ __all__ = ["Collector"]
 
 
 class Collector:
-    """Steps an environment with a policy, and keeps what a learner needs: the `fields` before each action,
-    and `next_fields` of the states that it led to."""
+    """Steps an environment with a policy and keeps what a learner needs: the `fields` before each action, and
+    `next_fields` of the states that were reached."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class Collector:
         return rollout
 
     def _step(self, action: Tensor) -> Step:
-        """One of the environment's; how long the first takes, which on a new machine is a minute, is `compiling`."""
+        """Step the environment; the time of the first step, a minute on a new machine, is `compiling`."""
         if not self._first:
             return self.environment.step(action)
         began, device = time.perf_counter(), self.environment.device

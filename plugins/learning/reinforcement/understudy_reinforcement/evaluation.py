@@ -16,7 +16,7 @@ __all__ = ["Evaluation", "Measured", "wilson_interval"]
 
 @dataclass(frozen=True)
 class Measured:
-    """One measure over the episodes of an evaluation; NaN where no episode has it."""
+    """One measure over the episodes of an evaluation; NaN if no episode has it."""
 
     reduce: str  #: how an episode's values became one
     mean: float
@@ -26,9 +26,9 @@ class Measured:
 
     @classmethod
     def of(cls, reduce: str, values: Tensor, starts: int | None = None) -> Measured:
-        """From one value an episode, (E,); what is not finite is none, as of episodes that went wrong in
-        their first step. In how many different states they began, `starts`, is how many tell something new:
-        the interval of a mean is Student's t of so many, mean ± t(0.975, n - 1) · s / √n."""
+        """From one value per episode, (E,). Values that are not finite are left out, such as those of episodes that went
+        wrong in their first step. `starts`, the number of different states in which they began, is the n of the mean's
+        interval by Student's t: mean ± t(0.975, n - 1) · s / √n."""
         values = values[values.isfinite()].double()
         if not len(values):
             return cls(reduce, math.nan, math.nan, None, None)
@@ -64,17 +64,16 @@ class Evaluation(Judgement):
     objective: str = "success_rate"  #: what searches maximise: this, or a measure
     seconds: float | None = None  #: the episodes' length
     unsound: float = 0.0  #: share whose numbers went wrong; they are no success
-    different_starts: int | None = (
-        None  #: in how many states episodes began; None if nobody counted
-    )
+    #: in how many states episodes began; None if nobody counted
+    different_starts: int | None = None
     #: Of each episode a digest of where it began, and what `compared` came to; empty if nobody counted.
     outcomes: Sequence[tuple[bytes, float]] = field(default=(), compare=False, repr=False)
     compared: str = "success"  #: what `outcomes` are of: success, 1 or 0, or a measure
 
     @property
     def trials(self) -> int:
-        """As many as began differently, where that was counted: a deterministic policy does the same from the same
-        start, unless something is drawn on the way. With fewer of them intervals are wider, never too narrow."""
+        """The number of different starts, if they were counted: a deterministic policy repeats itself from the same
+        start, unless something is drawn on the way. With fewer of them, intervals are wider, never too narrow."""
         return self.episodes if self.different_starts is None else self.different_starts
 
     @property
@@ -138,7 +137,7 @@ class Evaluation(Judgement):
 
 
 def shown_share(share: float) -> str:
-    """In per cent; never none of it where there is some, nor all of it where some is left."""
+    """In per cent; never 0 % of something, nor 100 % if something is missing."""
     text = f"{share:.0%}"
     return {"0%": "under 1%", "100%": "over 99%"}.get(text, text) if 0 < share < 1 else text
 

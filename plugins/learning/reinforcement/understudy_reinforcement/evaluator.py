@@ -67,8 +67,8 @@ class Evaluator:
     def __init__(
         self, experiment: Experiment, context: Context | None = None, substeps: int | None = None
     ) -> None:
-        """`substeps` are physics steps of a control period, the task's unless given; of `context`, whose
-        sections it shares, it has the scene too if that is of the same physics."""
+        """`substeps` are the physics steps of a control period, if not the task's own. It shares the sections of
+        `context`, and its scene if the physics is the same."""
         substeps = experiment.root.control.substeps if substeps is None else substeps
         options = experiment.root.evaluation
         self.experiment, self.options, self._seed = experiment, options, experiment.root.seed
@@ -99,7 +99,7 @@ class Evaluator:
         self._starts = {c.name: c.build(own) for c in experiment.many("evaluation.starts")}
 
     def _judge(self, action: Tensor) -> Step:
-        """One step of all worlds, digested where their first episode is still running."""
+        """One step of all worlds; those whose first episode is still running are counted."""
         environment, running = self.built.environment, self._running
         step = environment.advance(action)
         self._seconds.copy_(torch.where(running, environment.table["episode_time"], self._seconds))
@@ -126,13 +126,13 @@ class Evaluator:
         give_up_below: float | None = None,
         on_period: Callable[[Tensor], None] | None = None,
     ) -> Evaluation:
-        """Run `episodes`, as many at once as there are worlds; each world counts until its first ending.
+        """Run `episodes`, as many at once as there are worlds; each world counts until its first episode ends.
 
         Starts are drawn from the random streams named `draw`, which no training uses: the same
-        policy and draw give the same result every time. With `give_up_below`, stops as soon as that
-        success rate is out of reach. Before each control period, `on_period` is told which worlds
-        (N,) count, unless it has put an end to that (``environment.on_period = None``).
-        Each of ``evaluation.starts`` is judged beside it, on as many episodes as there are worlds.
+        policy and draw give the same result every time. With `give_up_below`, it stops as soon as that success rate
+        is out of reach. Before each control period, `on_period` is called with a mask of the worlds that count (N,), until
+        it sets ``environment.on_period`` to None. The other ``evaluation.starts`` are judged, too, each on as many episodes
+        as there are worlds.
         """
         begun: dict[str, Measured] = {}
         work = LongWork(f"Judging {episodes} episodes")
@@ -169,6 +169,18 @@ class Evaluator:
             on_period = None
         joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
         rate = None if self.success is None else (done - lost) / done
+        return self._evaluation(joined, states, done, rate, complete, begun)
+
+    def _evaluation(
+        self,
+        joined: dict[str, Tensor],
+        states: list[bytes] | None,
+        episodes: int,
+        rate: float | None,
+        complete: bool,
+        begun: dict[str, Measured],
+    ) -> Evaluation:
+        """What the rows of all episodes, `joined`, come to; `states` are their starts, if they are known."""
 
         def shares(*outcomes: str) -> dict[str, float]:
             return {
@@ -184,7 +196,7 @@ class Evaluator:
         elif compared not in joined:
             compared = "measure/return"
         return Evaluation(
-            episodes=done,
+            episodes=episodes,
             success=self.success.text if self.success else "",
             success_rate=rate,
             mean_episode_seconds=float(joined["seconds"].mean()),
@@ -214,8 +226,8 @@ class Evaluator:
         states: list[bytes] | None = None,
         far: Callable[[float], None] = lambda share: None,
     ) -> tuple[dict[str, Tensor], bool]:
-        """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost. Digests of
-        the states in which they begin are added to `states`; `far` is told what share of the steps is done."""
+        """The results of `count` episodes, and whether they were all run to the end; not if more than `allowed` failed.
+        Digests of the states in which they begin are added to `states`; `far` hears what share of the steps is done."""
         environment = self.built.environment
         observations = environment.reset(self._seed, draw)
         if states is not None:
@@ -264,11 +276,11 @@ class Evaluator:
         return [hashlib.sha256(row.tobytes()).digest() for row in np.concatenate(columns, axis=1)]
 
     def _within(self, allowed: float, count: int) -> bool:
-        """Whether the success rate can still be reached: of episodes that are over, all is known."""
+        """Whether the success rate can still be reached, by the episodes that have ended."""
         return int((~self._running & ~self._won())[:count].sum()) <= allowed
 
     def _won(self) -> Tensor:
-        """(N,) bool: which worlds' first episodes succeeded, as far as they are."""
+        """(N,) bool: the worlds whose first episode has succeeded so far."""
         if self.success is None:
             return torch.ones_like(self._failed)
         measures = {name: reducer.result() for name, reducer in self._reducers.items()}

@@ -1,4 +1,4 @@
-"""What led to the first numbers that went wrong, kept with a run to be repeated."""
+"""Keeps with a run what led to the first numbers that went wrong, so that it can be repeated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Faults:
         self._run, self._tell = run, tell
 
     def keep(self, name: str, state: State, samples: int) -> None:
-        """Write `state`, with which numbers went wrong after `samples`, as the checkpoint `name`."""
+        """Write `state`, from which numbers went wrong after `samples`, as the checkpoint `name`."""
         path, run = self._run.path / "faults" / name, self._run
         meta = {"config": run.config, "versions": versions(), "samples": samples}
         try:

@@ -1,4 +1,4 @@
-"""When a training is given up: its numbers mostly leave the finite."""
+"""Gives up a training in which most numbers are not finite."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Hopeless:
         Raises
         ------
         TrainingError
-            if more than a quarter of all steps of the iteration were quarantined, or most
-            of the episodes that ended since there were enough of them.
+            if more than a quarter of the iteration's steps were unsound, or most of the last episodes, once there were
+            enough of these.
         """
         self._episodes += row["episodes"]
         self._unsound += row["unsound"]
@@ -62,7 +62,7 @@ def refuse_negative(environment: Environment) -> None:
 
 
 def unsound_parts(environment: Environment) -> list[str]:
-    """Whose numbers went wrong in the states reached by :meth:`Environment.advance`, before ``begin``."""
+    """The parts whose numbers went wrong in the states reached by :meth:`Environment.advance`, before ``begin``."""
     if bool(environment.unsound.any()):
         return ["the actuation or the simulator"]
     parts = environment.parts

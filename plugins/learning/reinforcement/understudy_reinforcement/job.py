@@ -40,7 +40,7 @@ _SOUGHT = 1000
 
 
 class _Moment:
-    """When the work before it is done; on a GPU that is after it was asked for."""
+    """The moment at which the work before it is done; on a GPU, that is later than the call."""
 
     def __init__(self, device: torch.device) -> None:
         self._event = torch.cuda.Event(enable_timing=True) if device.type == "cuda" else None
@@ -49,7 +49,7 @@ class _Moment:
             self._event.record()
 
     def __sub__(self, earlier: _Moment) -> float:
-        """Seconds; waits until both have come."""
+        """Seconds between two moments; waits for both."""
         if self._event is None or earlier._event is None:
             return self._clock - earlier._clock
         self._event.synchronize()
@@ -104,7 +104,7 @@ class Reinforcement(Job):
         return self.environment.parts.initial_states, self.environment.parts.curriculum
 
     def _go_over(self, substeps: int) -> None:
-        """Go on from the same state at so many physics steps a control period."""
+        """Continue from the same state with so many physics steps per control period."""
         if substeps == self.resolution.substeps:
             return
         if type(substeps) is not int or substeps < 1:
@@ -122,7 +122,7 @@ class Reinforcement(Job):
         self._watch()
 
     def sharpen(self) -> dict[str, float]:
-        """Go over to the task's own physics; returns the mark of it for the learning curves."""
+        """Change to the task's own physics; returns the mark for the learning curves."""
         self._go_over(self.resolution.own)
         return {f"mark/{self.resolution.in_words}": 1.0}
 
@@ -131,7 +131,7 @@ class Reinforcement(Job):
         self._watch()
 
     def _watch(self) -> None:
-        """Have what the job consists of now tell of faults, once each; no more if nobody wants to know."""
+        """Have environment and learner report one fault each; none if nobody watches."""
         self.environment.on_quarantine = self.learner.on_fault = None
         if (faults := self._faults) is None:
             return
@@ -182,7 +182,7 @@ class Reinforcement(Job):
         }
 
     def _unsound_parts(self) -> str:
-        """Whose numbers go wrong, found by going on for a while; the training ends with this."""
+        """The parts whose numbers go wrong, found by continuing for a while, at the end of the training."""
         environment, found = self.environment, list[str]()
         with torch.no_grad():
             for _ in range(_SOUGHT):
@@ -214,7 +214,7 @@ class Reinforcement(Job):
         return ", ".join([*stages, resolution.in_words] if resolution.coarse else stages)
 
     def judging(self) -> str:
-        """None before episodes last long enough without a failure for success to be plausible."""
+        """ "" until episodes last long enough without a failure for success to be plausible."""
         options, environment = self.experiment.root.evaluation, self.environment
         lasting = environment.decision * environment.control_dt / max(self._failing, 1e-9)
         if lasting < options.gate * options.seconds:
@@ -240,7 +240,7 @@ class Reinforcement(Job):
         return evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
 
     def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Evaluation]:
-        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz."""
+        """As :meth:`evaluate`, with half the physics time step; and its rate in Hz."""
         control = self.experiment.root.control
         substeps = 2 * control.substeps
         return control.frequency * substeps, self._evaluator(substeps).run(
@@ -308,8 +308,8 @@ class Reinforcement(Job):
         return [f"The policy reads {', '.join(seen) or 'no observation'}.", *missed]
 
     def has_difficulty(self) -> bool:
-        """Whether the task has some: a part reads the field ``difficulty``, or the curriculum itself makes more of it, such
-        as a time limit, a parameter of the simulator, how long decisions last."""
+        """Whether the task has one: a part reads the field ``difficulty``, or the curriculum derives something from it, such as
+        a time limit, a parameter of the simulator, or the length of decisions."""
         environment = self.environment
         curriculum = environment.parts.curriculum
         if curriculum is not None and (
@@ -360,7 +360,7 @@ class Reinforcement(Job):
 
 
 def _naming(options: Any, where: str, names: Set[str]) -> Iterator[tuple[str, Sequence[str]]]:
-    """The key paths in nested `options` at which some of the `names` stand, and which."""
+    """The key paths in nested `options` at which one of the `names` is, and which one."""
     if isinstance(options, Mapping):
         for key, value in options.items():
             yield from _naming(value, f"{where}.{key}", names)

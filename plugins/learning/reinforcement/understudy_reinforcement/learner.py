@@ -26,7 +26,7 @@ class Learner(ABC):
 
     @abstractmethod
     def update(self, rollout: Rollout) -> dict[str, float]:
-        """One improvement; sets the rollout's ``values`` and ``returns``; returns metrics.
+        """Improve the policy once; sets the rollout's ``values`` and ``returns``, and returns metrics.
 
         A step whose loss or gradient is not finite must leave the weights as they were and count
         in the metric ``skipped_steps``.

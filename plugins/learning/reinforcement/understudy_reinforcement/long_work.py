@@ -1,4 +1,4 @@
-"""How far work is that has no rows of its own, such as an evaluation: a line now and then, once it takes long."""
+"""Progress of work without rows of metrics, such as an evaluation: a line now and then if it takes long."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _RARER = 0.25
 
 
 class LongWork:
-    """Work called `what`; of several processes the first alone tells of it. `pause` are the seconds until it is told of."""
+    """Work called `what`, reported only by process 0, after every `pause` seconds."""
 
     def __init__(
         self, what: str, pause: float = _PAUSE, say: Callable[[str], None] | None = None
@@ -28,7 +28,7 @@ class LongWork:
         self._first: tuple[float, float] | None = None  #: when what share was done
 
     def done(self, share: float) -> None:
-        """That `share` of it is; a line says so if it is time for one."""
+        """`share` of it is done; prints a line if it is time for one."""
         left, now = self.left(share), time.monotonic()
         if now - self._told < max(self._pause, _RARER * (now - self._began)) or share >= 1:
             return
@@ -37,8 +37,8 @@ class LongWork:
             (self._say or tell)(f"{self._what}: {share:.0%} done{left}.".replace("%", " %"))
 
     def left(self, share: float) -> str:
-        """For how long it goes on, in words, from the speed since the first part, which may have compiled; empty where that
-        cannot be told, or it takes no time worth telling."""
+        """The time that is left, in words, from the speed after the first part, which may have included compiling; "" if that is
+        not known yet, or too short to mention."""
         now = time.monotonic()
         first, before = self._first = self._first or (now, share)
         if share <= before or now - self._began < self._pause:

@@ -24,8 +24,8 @@ SMALL = 0.01
 
 @dataclass(frozen=True)
 class Paired:
-    """How a second policy does beside a first, from the same starts. Each start counts once, however often it was
-    drawn: a deterministic policy does the same from the same start."""
+    """A second policy compared with a first, from the same starts. Each start counts once, however often it was drawn:
+    a deterministic policy repeats itself from the same start."""
 
     of: str  #: what is compared: ``success``, or the name of a measure
     starts: int  #: different ones
@@ -37,10 +37,10 @@ class Paired:
 
     @classmethod
     def of_evaluations(cls, first: Evaluation, second: Evaluation) -> Paired | None:
-        """Of two evaluations on the same draw; None where they know nothing of single episodes.
+        """From two evaluations on the same draw; None if they do not tell single episodes apart.
 
         Success is compared by the sign test (McNemar's, exact and one-sided), a measure by Student's t of the
-        differences, one-sided. Where the first has a finite number and the second none, the second has the least of all.
+        differences, one-sided. If the first has a finite number and the second has none, the second counts as the least of all.
 
         Raises
         ------
@@ -63,14 +63,14 @@ class Paired:
 
     @property
     def falls(self) -> bool:
-        """Whether the second one is worse by more than chance explains."""
+        """Whether the second one is worse by more than chance."""
         least = 0.0 if self.of == "success" else SMALL * abs(self.first)
         if self.first - self.second <= least:
             return False
         return self.starts < FEWEST or self.chance < CHANCE
 
     def sentence(self) -> str:
-        """What the second has where the first has what, in one clause."""
+        """Both results in one clause, the second first."""
         starts = f"{self.starts} start{'s' * (self.starts != 1)}"
         if self.of != "success":
             text = f"{self.of} {self.second:.4g} instead of {self.first:.4g} from {starts}"
@@ -92,7 +92,7 @@ class Paired:
 
 
 def _sign(worse: int, better: int) -> float:
-    """How probable it is that at least so many of the starts that differ come out worse."""
+    """The probability that at least so many of the differing starts come out worse by chance."""
     n = worse + better
     return sum(math.comb(n, k) for k in range(worse, n + 1)) / 2**n
 

@@ -54,8 +54,8 @@ class Distribution(ABC):
 class Policy(nn.Module, ABC):
     """Observation to action distribution and value; owns no environment.
 
-    Actor and critic are kept apart so that learners can give them rates; what is in neither (running
-    statistics) counts as the normaliser when parts of a run are taken over into another.
+    Actor and critic are separate so that learners can give each its own rate. State that is in neither (running
+    statistics) counts as the normaliser when another run starts with parts of this one.
     """
 
     @abstractmethod
@@ -76,11 +76,11 @@ class Policy(nn.Module, ABC):
         """Update running statistics from a rollout's observations (T, N, D)."""
 
     def schedule(self, samples: int) -> None:
-        """Set what follows a schedule (exploration noise) for `samples` consumed so far."""
+        """Set scheduled values, such as exploration noise, for `samples` consumed so far."""
 
     @torch.no_grad()
     def readers(self, observations: Mapping[str, Tensor]) -> dict[str, list[str]]:
-        """By name of the `observations` which of ``actor`` and ``critic`` read it; found by asking both."""
+        """By observation: which of ``actor`` and ``critic`` read it, found by calling both."""
         found: dict[str, list[str]] = {name: [] for name in observations}
         for who, asked in (("actor", self.distribution), ("critic", self.value)):
             asked(_Noting(observations, who, found))
@@ -88,7 +88,7 @@ class Policy(nn.Module, ABC):
 
 
 class _Noting(UserDict[str, Tensor]):
-    """Observations that note in `found` which of them `who` looks at."""
+    """Observations that note in `found` which of them `who` reads."""
 
     def __init__(
         self, observations: Mapping[str, Tensor], who: str, found: Mapping[str, list[str]]
@@ -104,7 +104,7 @@ class _Noting(UserDict[str, Tensor]):
 
 @contextlib.contextmanager
 def enough_memory(what: str) -> Iterator[None]:
-    """Inside, what asks for more memory than there is becomes a :class:`ConfigError`."""
+    """Inside, running out of memory becomes a :class:`ConfigError`."""
     try:
         yield
     except (MemoryError, RuntimeError) as error:
@@ -116,6 +116,6 @@ def enough_memory(what: str) -> Iterator[None]:
 
 
 def build_policy(experiment: Experiment, context: Context) -> Policy:
-    """The policy, its weights drawn from the seed alone."""
+    """The policy; its weights depend only on the seed."""
     with private_rng(context.seed, "policy"), enough_memory("policy"):
         return experiment.need("policy").build(context, like=Policy).to(context.device)

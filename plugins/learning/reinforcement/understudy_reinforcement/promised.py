@@ -1,4 +1,4 @@
-"""What the parts of a task do with the fields that they read, tried once before anything is learned."""
+"""Tries, before anything is learned, whether parts leave the fields that they read unchanged and return tensors."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["begin"]
 
 
 def begin(environment: Environment) -> dict[str, Tensor]:
-    """The first observations, after a reset in which each part was found to keep to what parts promise.
+    """Reset, check that each part keeps its promises, and return the first observations.
 
     Raises
     ------
     ConfigError
-        naming the part that returns no tensor, or that writes into a field which others read; and as
+        a part returns no tensor, or writes into a field that others read; or as of
         :meth:`Environment.reset`.
     """
     try:
@@ -56,5 +56,5 @@ def _try_all(environment: Environment) -> None:
 
 
 def _written(value: Tensor) -> int:
-    """How often it was written into; one that was made in torch's inference mode does not count that."""
+    """How often it was written into; 0 if it was made in torch's inference mode, which does not count."""
     return 0 if value.is_inference() else value._version

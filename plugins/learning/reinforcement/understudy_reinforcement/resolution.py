@@ -1,4 +1,4 @@
-"""Physics that is coarser at a training's beginning than what counts, and sharpens."""
+"""Physics that is coarser at the beginning of a training, and is sharpened later."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ REHEARSAL = "rehearsal"
 
 @dataclass(frozen=True)
 class ResolutionOptions:
-    """Coarser physics that a training begins with; ``control.substeps`` is what it is judged by.
+    """Coarser physics for the beginning of a training, which is judged at ``control.substeps``.
 
-    It switches to the latter, *sharpens*, as soon as the criterion is met at the coarse physics,
-    the curriculum has reached `difficulty`, or the share `budget` of the budget is spent.
+    It changes to the latter, *sharpens*, as soon as the criterion is met with coarse physics, the curriculum has
+    reached `difficulty`, or the share `budget` of the budget is spent.
     """
 
     substeps: int | None = None  #: physics steps per control period at first; null is the task's
@@ -41,12 +41,12 @@ class ResolutionOptions:
 
 
 def section(options: ResolutionOptions, registry: Registry, inputs: Inputs) -> ResolutionOptions:
-    """As it is: only the job reads it."""
+    """The options themselves, which only the job reads."""
     return options
 
 
 def resolution_of(experiment: Experiment) -> ResolutionOptions:
-    """The section ``resolution``; without one, physics is the task's own throughout.
+    """The section ``resolution``; without one, physics is always the task's own.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def resolution_of(experiment: Experiment) -> ResolutionOptions:
 
 
 class Resolution:
-    """How fine a training's physics is at present, and when it becomes the task's own."""
+    """How fine a training's physics is now, and when it becomes the task's own."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._root, self._options = experiment.root, resolution_of(experiment)
@@ -73,12 +73,12 @@ class Resolution:
 
     @property
     def coarse(self) -> bool:
-        """Whether iterations simulate more coarsely than what they are judged by."""
+        """Whether iterations simulate more coarsely than evaluations."""
         return self.substeps < self.own
 
     @property
     def hertz(self) -> float:
-        """Physics steps of iterations in a second."""
+        """The physics rate of iterations, Hz."""
         return self._root.control.frequency * self.substeps
 
     @property
@@ -86,23 +86,23 @@ class Resolution:
         return f"physics at {self.hertz:.4g} Hz"
 
     def hard(self, environment: Environment) -> bool:
-        """Whether the difficulty of the running episodes, in the mean over worlds, has come to where
-        physics sharpens. Waits for the device if it is to."""
+        """Whether the mean difficulty of running episodes has reached the value at which physics sharpens. Waits for the device,
+        if physics depends on it."""
         enough = self._options.difficulty
         if enough is None:
             return False
         return float(environment.table["difficulty"].mean()) >= enough - 1e-6
 
     def ripe(self, row: Mapping[str, Any], progress: Progress) -> bool:
-        """Whether the criterion is met with coarse physics, as the `row` of this iteration says, or
-        enough of the budget is spent."""
+        """Whether the criterion is met with coarse physics, by the `row` of this iteration, or enough of the budget is
+        spent."""
         criterion = self._root.evaluation.criterion
         rate = row.get(f"{REHEARSAL}/success_rate")  # at_most, of a rehearsal that was given up
         met = criterion is not None and rate is not None and rate >= criterion
         return met or progress.spent(self._root.budget) >= self._options.budget
 
     def look_soon(self, progress: Progress) -> None:
-        """Have an evaluation come after half as many samples as else: what was learned mostly holds."""
+        """Make the next evaluation come after half as many samples as usual: what was learned mostly holds."""
         if (every := self._root.evaluation.every) < math.inf:
             soon = progress.samples - round(every / 2)
             progress.evaluated_at = min(progress.evaluated_at, soon)

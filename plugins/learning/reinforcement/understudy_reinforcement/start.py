@@ -39,7 +39,7 @@ class StartOptions:
 
 
 def section(options: StartOptions, registry: Registry, inputs: Inputs) -> StartOptions:
-    """As it is: what it names is read when a training begins, and only by the job."""
+    """The options themselves: the job reads what they name when a training begins."""
     return options
 
 
@@ -64,16 +64,15 @@ def take_over(
     curriculum: Curriculum | None,
     registry: Registry,
 ) -> dict[str, Any]:
-    """Put the parts that `start` names, from the newest checkpoint of its run, in place; returns what
-    was taken from where, for provenance.
+    """Load the parts that `start` names from the newest checkpoint of its run; returns what came from where, for
+    provenance.
 
     Raises
     ------
     ConfigError
         if it is the name of a skill, which has no critic.
     RunError
-        if the run lacks one of them, or it has another shape here; names the first that
-        does not fit.
+        the run lacks one of them, or it has another shape here; the first one is named.
     """
     if start.run in registry.names("skill") and not Path(start.run).is_dir():
         raise ConfigError(
@@ -108,12 +107,12 @@ def take_over(
 
 
 def load_part(part: Curriculum | InitialStates, state: State, name: str, what: str) -> None:
-    """Put what a checkpoint's `state` says of the environment's part `name` into `part`.
+    """Load the environment's part `name` from a checkpoint's `state` into `part`.
 
     Raises
     ------
     RunError
-        if it says nothing that fits; calls it `what`.
+        there is nothing that fits; the error calls it `what`.
     """
     try:
         given = state["environment"][name]

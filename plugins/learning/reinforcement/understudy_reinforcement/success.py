@@ -1,4 +1,4 @@
-"""What counts as a success of an episode, as ``evaluation.success`` says."""
+"""What counts as success of an episode, by ``evaluation.success``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["success_of"]
 
 @dataclass(frozen=True)
 class Success:
-    """What counts as a success, from ``evaluation.success``: surviving, a term, or a measure."""
+    """A criterion of success: survival, a term, or a measure."""
 
     text: str
     term: str | None = None
@@ -27,7 +27,7 @@ class Success:
     def of(
         self, failed: Tensor, reached: Mapping[str, Tensor], measures: Mapping[str, Tensor]
     ) -> Tensor:
-        """(N,) bool, of ended episodes: whether they failed, which terms fired, their measures."""
+        """(N,) bool, for ended episodes, from whether they failed, which terms fired, and their measures."""
         if self.measure is not None:
             value = measures[self.measure]
             return (value >= self.at_least) & (value <= self.at_most)
@@ -35,7 +35,7 @@ class Success:
 
 
 def success_of(experiment: Experiment) -> Success | None:
-    """What ``evaluation.success`` says; unset, it is the success terms, else survival, else nothing."""
+    """The criterion of ``evaluation.success``; by default the success terms, else survival, else None."""
     options = experiment.root.evaluation
     outcomes = {t.name: t.extras["outcome"] for t in experiment.many("termination.terms")}
     chosen = options.success

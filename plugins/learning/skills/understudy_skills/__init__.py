@@ -1,4 +1,4 @@
-"""What one training leaves to another: trained policies as parts, and states to begin in."""
+"""What one training passes on to another: trained policies as parts, and states to begin in."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("reinforcement", "training")

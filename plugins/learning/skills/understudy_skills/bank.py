@@ -32,13 +32,13 @@ def save(
 
 
 def files(path: str | Path) -> list[Path]:
-    """The files of a bank, given by one of them or by the run folder that has it."""
+    """The files of a bank, which is given by one of them or by its run folder."""
     file = Path(path) / NAME if Path(path).is_dir() else Path(path)
     return [file.with_suffix(".json"), file.with_suffix(".safetensors")]
 
 
 def load(path: str | Path) -> dict[str, Tensor]:
-    """The states of a bank, (M, …) by name: of its file, or of the run folder that has it.
+    """The states of a bank, (M, …) by name, from its file or its run folder.
 
     Raises
     ------
@@ -51,13 +51,13 @@ def load(path: str | Path) -> dict[str, Tensor]:
 def fitting(
     path: str | Path, context: Context, what: str, leave: Collection[str] = ()
 ) -> dict[str, Tensor]:
-    """The same, less the fields `leave`, of a bank that is an input of a run; `what` takes it.
+    """As :func:`load`, without the fields `leave`, for a bank that is an input of a run; `what` takes it.
 
     Raises
     ------
     ConfigError
-        if it says that a field is of another thing than the task's: a garment, a body; has a state's field in whole
-        numbers or truth values that the simulator has in others; or lacks one of `leave`.
+        if a field belongs to another garment or body than the task's, has whole numbers or truth values unlike the
+        simulator's, or is one of `leave` and missing.
     FileError
         as :func:`load` does.
     """
@@ -89,9 +89,8 @@ def fitting(
 def starts(
     path: str | Path, context: Context, what: str, leave: Collection[str] = ()
 ) -> dict[str, Tensor]:
-    """Those that episodes may begin in: of every five one in evaluations, the other four in trainings.
-
-    So an evaluation begins where no training did. A single state is for both.
+    """The states that episodes may begin in: every fifth in evaluations, the others in trainings, so that an evaluation
+    begins where no training did. A single state is for both.
     """
     states = fitting(path, context, what, leave)
     rows = torch.arange(len(next(iter(states.values()))))
@@ -102,7 +101,7 @@ def starts(
 
 
 def _read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """The states, and of what they are where it says so."""
+    """The states, and whose they are, if the bank says so."""
     try:
         state, about = checkpoint.load(files(path)[0])
     except RunError as error:

@@ -19,8 +19,8 @@ class Bank(InitialStates):
 
     Evaluations begin in every fifth of them, in which no training does.
 
-    What the bank has beside the simulator's state: its parameters vary between worlds again, all
-    else is readable as a field of the same name, constant over the episode.
+    What the bank has beside the simulator's state are parameters, which then vary between worlds, and fields of the
+    same name, constant over the episode.
     """
 
     @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A skill's or finished run's encoders, policy and actuation, at work inside another task."""
+"""The encoders, policy and actuation of a skill or a finished run, inside another task."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _BUILDING: ContextVar[tuple[int, list[str]] | None] = ContextVar("building", def
 
 @contextlib.contextmanager
 def _within(source: str) -> Iterator[None]:
-    """Build `source`. Raises ConfigError if it stands in itself, or in too much else."""
+    """Build `source`; a ConfigError if it contains itself, or is nested too deep."""
     depth, names = _BUILDING.get() or (0, [])
     names.append(source)
     if depth > _DEPTH or len(names) > _MOST:
@@ -49,8 +49,8 @@ class Controller(nn.Module):
     """What another run learned, as a function of this task's state: fields in, controls out.
 
     It is built for this task's scene and simulator, with the run's own config sections (its clip).
-    The weights are frozen; to learn on, ask for their gradients (``requires_grad_``) and give them to
-    a policy.
+    The weights are frozen; to train them further, ask for gradients (``requires_grad_``) and give them to a
+    policy.
     """
 
     def __init__(
@@ -65,10 +65,9 @@ class Controller(nn.Module):
 
     @classmethod
     def load(cls, source: str, context: Context, *, any_rate: bool = False) -> Controller:
-        """The controller of the run folder `source`, with the weights of its newest checkpoint, of the skill
-        of this name that comes with a plugin, or of the packed file `source`. A run that this task is
-        trained in keeps a copy of folder or file. With `any_rate` it may decide every n-th control period
-        (``decision``): who calls :meth:`decide` and :meth:`control` sees to that.
+        """The controller of `source`: a run folder, of which the newest checkpoint counts, the name of a skill that comes
+        with a plugin, or a packed file. A run of this task keeps a copy of the folder or file. With `any_rate` it may
+        decide every n-th control period (``decision``), which is up to the caller of :meth:`decide` and :meth:`control`.
 
         Raises
         ------
@@ -145,6 +144,6 @@ class Controller(nn.Module):
         return action
 
     def control(self, action: Tensor, fields: Mapping[str, Tensor]) -> Tensor:
-        """The control (N, U) that an action (N, A) of its policy is."""
+        """The control (N, U) for an action (N, A) of its policy."""
         taken = {own: fields[f] for own, f in self.actuation.reads.items()}
         return self.actuation.part.control(action, **taken)

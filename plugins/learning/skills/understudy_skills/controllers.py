@@ -1,4 +1,4 @@
-"""An action space above other runs: which of their controllers is at work, and what its goal is."""
+"""An action space above other runs: which of their controllers acts, and with what goal."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from understudy_skills.controller import Controller
 class Controllers(Actuation):
     """Switches between the frozen controllers of finished runs, which all read this task's fields.
 
-    The ``goal`` that the action gives is a field that they may read (``provides: {goal: target}``);
-    ``switch`` is the number of the one at work. Controls are computed every control period, so a
-    decision may last several.
+    The action gives a ``goal``, a field that they may read (``provides: {goal: target}``), and ``switch``, the number
+    of the one that acts. Controls are computed every control period, so a decision may last several.
     """
 
     every = "period"

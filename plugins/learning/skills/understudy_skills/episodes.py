@@ -1,4 +1,4 @@
-"""A policy acts out one episode in each world, for whoever wants to see each of its moments."""
+"""Plays one episode of a policy in each world, with functions called at each moment."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["act_out", "policy_of"]
 
 
 def policy_of(skill: Skill, built: Built) -> Policy:
-    """The policy of `skill`, as its experiment makes it for what was `built` of it.
+    """The policy of `skill`, for the environment that was `built`.
 
     Raises
     ------

@@ -58,10 +58,10 @@ def run_folder(source: str, *, recorded: bool = False, registry: Registry | None
 
 
 def _packed(source: str, registry: Registry) -> Path | None:
-    """Where the skill is, without its suffixes; None of what is none."""
+    """The path of the packed skill, without suffixes; None if it is none."""
     path = Path(source)
     if source in registry.names("skill"):
-        return registry.find("skill", source).made()
+        return registry.find("skill", source).call()
     packed = path.suffix == ".json" and all(file.is_file() for file in _files(path))
     return path.with_suffix("") if packed else None
 
@@ -71,7 +71,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _record(run: Run) -> None:
-    """One episode of what `run` learned, recorded and drawn; what it was judged by stays."""
+    """Record and draw one episode of the policy of `run`; its evaluation stays."""
     experiment = run.experiment()
     root = experiment.root
     evaluation = replace(root.evaluation, episodes=1, final_episodes=1)

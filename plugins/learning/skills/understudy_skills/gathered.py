@@ -1,4 +1,4 @@
-"""Jobs that gather states: what they have, and how far they have come in words and figures."""
+"""What jobs that gather states have in common: the states, and their progress in words and figures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Gathered", "Gathering"]
 
 
 class Gathered:
-    """Up to `wanted` states, of each field (S, …), and how many iterations in a row found none."""
+    """Up to `wanted` states, (S, …) by field, and how many iterations in a row found none."""
 
     def __init__(self, wanted: int) -> None:
         self._wanted = wanted
@@ -40,12 +40,12 @@ class Gathered:
         return self.count >= self._wanted
 
     def add(self, new: Mapping[str, Tensor]) -> None:
-        """What an iteration found, of each field (S', …); S' may be 0.
+        """Add what an iteration found, (S', …) by field; S' may be 0.
 
         Raises
         ------
         RunError
-            what a checkpoint had found is not of the same fields.
+            the states of a checkpoint have other fields.
         """
         found, kind = len(next(iter(new.values()))), _kinds(new)
         if self._states and _kinds(self._states) != kind:
@@ -63,17 +63,17 @@ class Gathered:
         return f"{count} of {self._wanted} {of}{self._work.left(count / self._wanted)}"
 
     def evaluation(self) -> Evaluation:
-        """How many states there are; they need no other judgement."""
+        """The number of states, which need no other judgement."""
         states = torch.tensor([float(min(self.count, self._wanted))])
         return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
 
     def save(self, run: Run, about: Mapping[str, Any], scene: Scene | None) -> None:
-        """Leave them, states of `scene`, as the bank of `run`.
+        """Write them, states of `scene`, as the bank of `run`.
 
         Raises
         ------
         TrainingError
-            there are none: a run that ends well has a bank.
+            there are none.
         """
         more = f"understudy resume {run.path} budget.samples=N goes on"
         if not self.count:
@@ -112,8 +112,8 @@ class Gathering(Job):
     _built: Built | None = None
 
     def _keeps(self, fields: Sequence[str], of: str) -> list[str]:
-        """What is kept of a state: the simulator's own, and `fields`, or an error that names the task `of` whose
-        they are not."""
+        """The fields that are kept: the simulator's own and `fields`; a ConfigError for one that the task of `of` does not
+        have."""
         shapes = self.environment.table.shapes
         for name in fields:
             if name not in shapes:

@@ -1,4 +1,4 @@
-"""A job that keeps states of a trained run's episodes, such as their last, for others to begin in."""
+"""A job that keeps states of a trained run's episodes, such as their last ones, for other runs to begin in."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ def _with_simulators(found: Experiment, own: Experiment) -> dict[str, tuple[Chos
 
 
 class Harvest(Gathering):
-    """Runs a finished run's policy in its own task until there are enough states of the wanted kind.
+    """Runs the policy of a finished run in its own task until there are enough states of the wanted kind.
 
-    The worlds' number, device and seed are those of this run, and so is the simulator where it sets one
-    (``simulator=``, and ``simulators.MEMBER.name=`` of a composite's member); it leaves the bank ``bank`` in its folder.
+    Number of worlds, device and seed are this run's, and so is the simulator if it sets one (``simulator=``, or
+    ``simulators.MEMBER.name=`` for a member of a composite). It writes the bank ``bank`` into its folder.
     """
 
     @dataclass(frozen=True)
@@ -195,12 +195,11 @@ class Harvest(Gathering):
         return states, counts, ended
 
     def _chosen(self, reached: Mapping[str, Tensor], ended: Tensor) -> Mapping[str, Tensor]:
-        """Of each world, the state to keep if its episode ends now."""
+        """For each world, the state to keep if its episode ends now."""
         if self.options.moment != "anywhere":
             return reached
-        self._age += (
-            1.0  # reservoir sampling: the k-th state takes the place of the one kept with 1/k
-        )
+        # reservoir sampling: the k-th state takes the place of the one kept with 1/k
+        self._age += 1.0
         take = self._streams.uniform(1).squeeze(1) * self._age < 1.0
         for name, value in reached.items():
             kept = self._kept.get(name, value)

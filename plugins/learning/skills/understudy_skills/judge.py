@@ -1,4 +1,4 @@
-"""A job that learns nothing: what another run learned, judged as this run's configuration says."""
+"""A job that learns nothing, but judges the policy of another run under this run's configuration."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _LEARNED = ("encoder", "actuation", "control")
 
 
 class Judge(Reinforcement):
-    """Takes the policy of a finished run and ends; its evaluation is what the run is for.
+    """Takes the policy of a finished run and ends; the run is only for its evaluation.
 
-    Task, policy and evaluation are this run's own: variants of a sweep judge one policy under
-    different conditions, of which training knew one. Where what it sees or does is not what it was
-    trained with, a line says so: networks fit maps of any width.
+    Task, policy and evaluation are this run's own, so variants of a sweep can judge one policy under different
+    conditions, of which its training had one. If its observations or actions are not those of its training, a line
+    says so, since networks fit any that have as many numbers.
     """
 
     @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a run keeps of another whose learned parts it uses."""
+"""The files that a run keeps of another one whose learned parts it uses."""
 
 from __future__ import annotations
 

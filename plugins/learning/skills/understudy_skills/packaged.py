@@ -1,4 +1,4 @@
-"""How a plugin offers its skills."""
+"""How a plugin registers its packed skills."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What another run did in one of its episodes, done again from other starts: nothing is looked at."""
+"""Another run's actions in one of its episodes, repeated from other starts without looking."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from understudy_skills.controller import Controller
 
 class Replay(Actuation):
     """Plays the actions of a finished run's episode open loop, through that run's actuation: the baseline of the dressing
-    paper (Clegg et al. 2018, section 9). After the last of them that one goes on. The task's own action says nothing.
+    paper (Clegg et al. 2018, section 9). After the last action, it is repeated. The task's own action has no effect.
     """
 
     @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What rounding a policy's weights costs, and how many bits a weight needs."""
+"""How much success rounding a policy's weights costs, and how many bits they need."""
 
 from __future__ import annotations
 
@@ -25,13 +25,12 @@ class Rounding:
 
     bits: int
     evaluation: Judgement  #: of the policy as it is once packed
-    paired: Paired | None = (
-        None  #: beside its own weights; None where nothing was rounded or could be paired
-    )
+    #: beside its own weights; None where nothing was rounded or could be paired
+    paired: Paired | None = None
 
     @property
     def falls(self) -> bool:
-        """Whether more is lost than chance explains."""
+        """Whether the loss is more than chance."""
         return self.paired is not None and self.paired.falls
 
     def sentence(self) -> str:
@@ -47,8 +46,8 @@ class Rounding:
 def enough_bits(
     skill: Skill, experiment: Experiment, bits: int | None, tell: Callable[[str], None]
 ) -> Rounding:
-    """The fewest bits, 8 first, with which `skill` loses nothing in `experiment` that shows beside its own weights on the
-    same held-out starts; with `bits` these, whatever they cost. `tell` has a line on each that is tried.
+    """The fewest bits, from 8 up, with which `skill` loses nothing measurable in `experiment` beside its own weights, from
+    the same held-out starts; or `bits`, if given, whatever the loss. `tell` gets a line on each that is tried.
 
     Raises
     ------
@@ -79,13 +78,13 @@ def _paired(first: Judgement, second: Judgement) -> Paired | None:
 
 
 def judged(skill: Skill, experiment: Experiment) -> Judgement:
-    """`skill` in `experiment`, on as many held-out starts as comparisons are made on."""
+    """Judge `skill` in `experiment`, on as many held-out starts as comparisons use."""
     with _Judged(skill, experiment) as found:
         return found.with_weights_of(skill)
 
 
 class _Judged:
-    """A task in which one policy after another is judged, each from the same held-out starts."""
+    """A task in which policies are judged one after another, from the same held-out starts."""
 
     def __init__(self, skill: Skill, experiment: Experiment) -> None:
         self._whole = skill.whole()

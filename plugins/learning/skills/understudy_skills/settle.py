@@ -19,9 +19,8 @@ from understudy_skills.gathered import Gathered, Gathering
 
 
 class Settle(Gathering):
-    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of those that did not
-    end. A termination of any outcome discards; so do numbers that go wrong. It leaves the bank ``bank`` in its
-    folder.
+    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of those that did not end: any
+    termination discards a state, and so do numbers that go wrong. It writes the bank ``bank`` into its folder.
     """
 
     @dataclass(frozen=True)

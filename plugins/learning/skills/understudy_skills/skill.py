@@ -68,7 +68,7 @@ class Skill:
         Raises
         ------
         RunError
-            if they are not those of its actor.
+            they do not fit its actor.
         """
         own = policy.state_dict()
         actor = {id(parameter) for parameter in policy.actor_parameters()}
@@ -90,16 +90,15 @@ class Skill:
         policy.schedule(self.samples)
 
     def whole(self) -> dict[str, Tensor]:
-        """Its tensors with a critic, which a packed skill has none of: a new one.
+        """Its tensors with a new critic, since a packed skill has none.
 
         Raises
         ------
         RunError
             as :meth:`give`.
         """
-        root = replace(
-            self.experiment.root, device="cpu"
-        )  # only sizes are asked, whatever it was trained on
+        # only sizes are asked, whatever it was trained on
+        root = replace(self.experiment.root, device="cpu")
         experiment = replace(self.experiment, root=root)
         built = build_environment(experiment, num_worlds=1)
         try:
@@ -111,7 +110,7 @@ class Skill:
 
 
 def names() -> list[str]:
-    """Of the skills that come with the plugins."""
+    """The names of the skills that come with plugins."""
     return installed().registry.names("skill")
 
 
@@ -122,10 +121,10 @@ def open_skill(
     registry: Registry | None = None,
     without: Collection[str] = (),
 ) -> Skill:
-    """The skill of this name, of this packed file, or of this run folder.
+    """The skill of this name, packed file or run folder.
 
-    `overrides` change its configuration, as in ``understudy evaluate``; `without` names parts
-    of it that are not wanted, and may be missing here. `registry` is that of the installed plugins.
+    `overrides` change its configuration, as in ``understudy evaluate``; `without` names parts that are not needed, and
+    may be missing here. `registry` is that of the installed plugins.
 
     Raises
     ------
@@ -138,7 +137,7 @@ def open_skill(
     packed = path.suffix == ".json" and path.is_file()
     known = registry.names("skill")
     if source in known:
-        path = registry.find("skill", source).made()
+        path = registry.find("skill", source).call()
         return _packed(path, source, registry, without, overrides)
     if packed:
         return _packed(path, path.stem, registry, without, overrides)
@@ -175,12 +174,12 @@ def _of_run(
 
 
 def _kind(tensor: Tensor) -> tuple[torch.Size, torch.dtype]:
-    """What a tensor of a policy must have in common with the one that it replaces."""
+    """What a tensor of a policy must share with the one that it replaces."""
     return tensor.shape, tensor.dtype
 
 
 def _evaluation(path: Path) -> Any:
-    """What the run was judged by as it was trained; none where the last was of something else."""
+    """The evaluation of the run as it was trained; None if the last one was of something else."""
     try:
         found = json.loads(read(path / "evaluation.json"))
     except (OSError, ValueError, RecursionError):
@@ -229,13 +228,13 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
 
 
 def refuse_of_others(skill: Skill) -> None:
-    """Refuse to pack `skill` where its task reads what another run left, a bank or a policy: a pack has its own policy
-    alone. What it began with (``start.run``) and what a job took is not read again.
+    """Refuse to pack `skill` if its task reads what another run left, a bank or a policy: a pack has only its own policy.
+    What its training began with (``start.run``), or its job read, is not needed any more.
 
     Raises
     ------
     ConfigError
-        if it does, with what to override.
+        it does; the error says what to override.
     """
     left = [a for a in skill.experiment.inputs.kept if not a.startswith(_OF_NO_RUN)]
     for key, value in _words_in(skill.card["config"]):
@@ -261,13 +260,13 @@ def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
 def with_own_starts(
     skill: Skill, source: str, *, registry: Registry | None = None
 ) -> Experiment | None:
-    """The task of `skill`, which is `source` under overrides, begun where `source` begins without them; None where these
-    are the same starts.
+    """The task of `skill`, which is `source` under overrides, but with the starts of `source` without them; None if these
+    are the same.
 
     Raises
     ------
     UnderstudyError
-        if its own starts are not here any more.
+        its own starts are missing.
     """
     registry, path = registry or installed().registry, Path(source)
     if path.is_dir():
@@ -276,7 +275,7 @@ def with_own_starts(
         experiment = run.experiment(registry, _begun_as(own, skill))
     else:
         if source in registry.names("skill"):
-            path = registry.find("skill", source).made()
+            path = registry.find("skill", source).call()
         own = checkpoint.load(path)[1]["config"]
         experiment = validate(_begun_as(own, skill), registry)
     return None if _starts(experiment) == _starts(skill.experiment) else experiment
@@ -299,8 +298,8 @@ def _starts(experiment: Experiment) -> list[Any]:
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:
     """Write the actor of `skill` as ``PATH.safetensors`` and its card as ``PATH.json``.
 
-    Matrices become 8 or 16 `bits` a weight with a scale for each row; with 32 they stay as they are, as all else
-    does. `evaluation` is what was found of it.
+    Matrices get 8 or 16 `bits` per weight and a scale per row; with 32 they are unchanged, as everything else is.
+    `evaluation` goes onto the card.
     """
     kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
     card = {**skill.card, "evaluation": dict(evaluation)}
@@ -319,7 +318,7 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
 
 
 def is_left_over(file: Path) -> bool:
-    """Whether `file` has the tensors of a pack that was killed before it had a card: nothing without it."""
+    """Whether `file` has the tensors of a pack that was killed before it had a card, without which they are useless."""
     if file.with_suffix(".json").exists():
         return False
     try:
@@ -333,7 +332,7 @@ def unpack(skill: Skill, path: Path) -> None:
     """Write `skill` as the run folder `path`, which serves wherever a run does: to begin another training
     (``start.run``), as a controller inside another task (``actuation.runs``), for a harvest (``job.run``).
 
-    A packed skill has no critic, so that is new; optimizer and worlds are left out, which ``start.run`` does not take.
+    A packed skill has no critic, so it gets a new one; it has no optimiser and no worlds, which ``start.run`` does not need.
 
     Raises
     ------
@@ -387,13 +386,13 @@ def _make(skill: Skill, path: Path) -> None:
 
 
 def copy_run(source: str, folder: Path) -> None:
-    """Write what serves as a skill of the run folder `source` into `folder`: its ``run.json``, the policy
-    alone of its newest checkpoint, and the copies of what its parts read.
+    """Write into `folder` what a skill needs of the run folder `source`: its ``run.json``, only the policy of its newest
+    checkpoint, and the copies of what its parts read.
 
     Raises
     ------
     RunError
-        if one of these copies is not what the run was made with.
+        one of these copies is not what the run was made with.
     """
     run = runs.open_run(source)
     state, meta = run.newest()
@@ -410,7 +409,7 @@ def copy_run(source: str, folder: Path) -> None:
 
 
 def rounded(skill: Skill, bits: int = 8) -> Skill:
-    """`skill` as it is once packed with so many `bits` a weight, so that what is judged is what is shipped."""
+    """`skill` as packing with so many `bits` per weight makes it, so that what is judged is what ships."""
     tensors = {k: _unpacked(_packed_tensor(v, bits)) for k, v in skill.policy.items()}
     return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)
 

@@ -1,4 +1,4 @@
-"""Words of a command line that a judgement, or a play, of what was learned has no use for."""
+"""Words of a command line that have no meaning when a policy is judged or played."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _OF_TRAININGS = re.compile(
 
 
 def refuse_of_trainings(words: Sequence[str], of: str, beside: str = "") -> None:
-    """Raise ConfigError for the first of `words` that changes a training, and nothing `of` what was learned; where it
-    names the run's folder, what is said `beside`."""
+    """Raise ConfigError for the first of `words` that changes a training and nothing `of` what was learned; if it names the
+    run's folder, the error adds `beside`."""
     for word in words:
         if _OF_TRAININGS.match(word):
             own_folder = beside if "run.dir" in word else ""

@@ -1,6 +1,6 @@
-"""Memories of any field: ``reads`` says which, ``provides`` under which names what is kept is read.
+"""Memories of any field: ``reads`` says which, and ``provides`` names the fields that are kept.
 
-Several of a kind in one task need other names: ``provides: {timer: seconds_on_seat}``.
+Several of a kind in one task need different names: ``provides: {timer: seconds_on_seat}``.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class RunningMean(Memory):
 
 
 class Extremes(Memory):
-    """The least and the most that ``value`` (N,) was at the end of a control period of the episode so
-    far; its first value before. What measures read at the end of a decision misses those within it."""
+    """The least and the greatest ``value`` (N,) at the ends of the episode's control periods so far; at first, its first
+    value. Measures, which read values at the end of a decision, miss those within it."""
 
     reads = ("value",)
     keeps = {"least": (), "most": ()}
@@ -103,7 +103,7 @@ class Extremes(Memory):
 class RedrawnTarget(Memory):
     """A point drawn uniformly in a box, and drawn again after a while or once it is reached.
 
-    With neither, it is the episode's.
+    With neither option, it stays for the episode.
     """
 
     @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class RedrawnTarget(Memory):
 
 
 class History(Memory):
-    """The last K values of ``value``, one a control period, the newest first: (K, …).
+    """The last K values of ``value``, one per control period, the newest first: (K, …).
 
     An episode begins with its first value K times.
     """

@@ -1,4 +1,4 @@
-"""The option that says what shape a field has which is kept or observed as it is."""
+"""The option for the shape of a field that is kept or observed as it is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from understudy.options import check_range
 
 @dataclass(frozen=True)
 class Shaped:
-    """Options of what takes values as they are."""
+    """Options of parts that take values as they are."""
 
     shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
 
@@ -20,7 +20,7 @@ class Shaped:
 
 
 def check_shape(options: Any) -> None:
-    """Raise :class:`ValueError` of a `shape` of these options that cannot be."""
+    """Raise :class:`ValueError` if the `shape` of these options is not possible."""
     check_range(options, "shape", least=1)
     if math.prod(options.shape) > 10_000:
         raise ValueError(f"shape={options.shape} is not possible: give at most 10000 values.")

@@ -24,7 +24,7 @@ def value(
     #: which number of a vector; null only of a field that is one number
     index: int | None = None,
 ) -> Tensor:
-    """The field itself, (N,); of a vector its number `index`."""
+    """The field itself, (N,); for a vector, its number `index`."""
     return _chosen(value, index).float()
 
 
@@ -37,7 +37,7 @@ def value_where(
 ) -> Tensor:
     """The field, or its number `index`, where the field ``where`` (N,) is not 0; else NaN, (N,).
 
-    An episode that ends with NaN has none, and means over episodes leave it out.
+    An episode that ends with NaN has no value, and means over episodes leave it out.
     """
     return torch.where(where != 0, _chosen(value, index).float(), torch.nan)
 
@@ -49,8 +49,8 @@ def steady(
     #: per square of the field's unit
     scale: float,
 ) -> Tensor:
-    """exp(-scale m), (N,), m the mean square over the field's numbers by which it differs from ``before``, such as its
-    own ``previous_``: near 1 where it changes little in a decision."""
+    """exp(-scale m), (N,), m the mean square difference of the field's numbers from ``before``, such as its own
+    ``previous_``: near 1 if it changes little in a decision."""
     return torch.exp(-scale * (value - before).square().reshape(len(value), -1).mean(dim=1))
 
 
@@ -62,7 +62,7 @@ def reached(
     #: of a vector, the number that is judged; null judges all
     index: int | None = None,
 ) -> Tensor:
-    """The field is at most `within`; of a vector, all its numbers."""
+    """The field is at most `within`; for a vector, all its numbers are."""
     return (_chosen(value, index) <= within).view(len(value), -1).all(dim=1)
 
 
@@ -74,7 +74,7 @@ def beyond(
     #: of a vector, the number that is judged; null judges all
     index: int | None = None,
 ) -> Tensor:
-    """The field is at least `limit`; of a vector, any of its numbers."""
+    """The field is at least `limit`; for a vector, any of its numbers is."""
     return (_chosen(value, index) >= limit).view(len(value), -1).any(dim=1)
 
 

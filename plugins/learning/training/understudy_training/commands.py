@@ -1,6 +1,6 @@
-"""What is typed to begin or continue a training.
+"""The commands that begin or continue a training.
 
-What trains is imported by the commands: help, and the list of experiments, come without torch.
+They import what trains only when they run, so that help and the list of experiments need no torch.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Train(Command):
 
 
 class Resume(Command):
-    """Continues a run, with what the overrides change of it."""
+    """Continues a run, as overrides change it."""
 
     takes_overrides = True
     example = "understudy resume runs/spacetime-walk-001"

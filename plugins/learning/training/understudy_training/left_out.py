@@ -1,4 +1,4 @@
-"""Rows of a file of JSON lines that cannot be read: left out, kept beside it, and told of."""
+"""Rows of JSON lines that cannot be read: they are left out, kept in a file beside it, and reported."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _MOST = 2**31  #: bytes of what was left out so far
 
 
 def leave_out(path: Path, rows: Iterable[bytes], after: str = "") -> None:
-    """Append those `rows` of the file `path` which are going to be left out of it to ``NAME.left-out`` beside it, and say so;
-    `after` says what follows. Blank ones are no rows. A crash cuts rows short, and other versions write other ones.
+    """Append `rows` of the file `path` that will be left out to ``NAME.left-out`` beside it, and say so; `after` says what
+    follows. Blank lines are no rows. A crash cuts rows short, and other versions write other rows.
 
     Raises
     ------
     RunError
-        they cannot be kept; then nothing may be left out.
+        they cannot be kept, so nothing may be left out.
     """
     lost = [row.strip() for row in rows if row.strip()]
     if not lost:

@@ -23,7 +23,7 @@ def requested() -> int:
     Raises
     ------
     ConfigError
-        what it leaves in the environment is no number, or not all there: somebody else set it.
+        the variables of the environment are no numbers, or incomplete: something else set them.
     """
     count = int(_number("WORLD_SIZE", 1, least=1))
     if count > 1:

@@ -1,9 +1,8 @@
-"""What the commands train and resume do, and what is left behind."""
+"""What the commands train and resume do."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import os
 from collections.abc import Iterator, Sequence
@@ -23,18 +22,18 @@ from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
-from understudy.setup.root import Root
 from understudy.setup.validation import validate
 from understudy.signals import StopRequest
 from understudy_training import processes, watching
 from understudy_training.left_out import leave_out
+from understudy_training.unread import noting, unread
 
-__all__ = ["judge", "leave_damaged_rows_out", "unread"]
+__all__ = ["judge", "leave_damaged_rows_out"]
 
 
 def train(overrides: Sequence[str]) -> int:
     """Train a new run; prints ``run: PATH`` last."""
-    experiment = load_experiment(overrides)
+    experiment = noting(load_experiment(overrides))
     processes.start(experiment.root.device)
     with _together(experiment):
         if distributed.rank() == 0 and (folder := experiment.root.run.dir):
@@ -71,7 +70,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         _refuse_another(run, experiment)
         config["run"] |= {"dir": at(run.config, "run.dir")}
         run.info["config"] = config
-    experiment = run.experiment()
+    experiment = noting(run.experiment())
     processes.start(experiment.root.device)
     leading = distributed.rank() == 0
     with _together(experiment), contextlib.ExitStack() as refused:
@@ -103,22 +102,6 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
         run.write_json("run.json", run.info)
     return _carry_out(training)
-
-
-_ROOT = frozenset(field.name for field in dataclasses.fields(Root))
-#: Keys that every run reads as it goes on, or when it is made.
-_LATER = frozenset({"task", "budget", "checkpoint", "evaluation", "run"})
-
-
-def unread(experiment: Experiment, overrides: Sequence[str]) -> Iterator[str]:
-    """Of the words of a command line those that set what no part asked for when it was built."""
-    chosen = {slot.partition(".")[0] for slot, parts in experiment.choices.items() if parts}
-    there = (chosen | experiment.sections.keys() | _ROOT) - _LATER
-    never = there - {asked.partition(".")[0] for asked in experiment.asked}
-    for word in overrides:
-        key = word.lstrip("+").partition("=")[0].partition(".")[0]
-        if key in never:
-            yield f"{word} changes nothing: no part of this run reads {key}."
 
 
 def _refuse_another(run: Run, experiment: Experiment) -> None:

@@ -96,13 +96,7 @@ class TRPO(Learner):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self.options
-        batch = digest(
-            rollout,
-            self.policy,
-            gamma=options.gamma,
-            gae_lambda=options.gae_lambda,
-            td_lambda=options.td_lambda,
-        )
+        batch = digest(rollout, self.policy, options.gamma, options.gae_lambda, options.td_lambda)
         metrics = self._improve_policy(batch) | self._fit_values(batch)
         skipped = metrics.pop("skipped_policy_steps") + metrics.pop("skipped_value_steps")
         self._note_faults(batch, skipped)

@@ -167,9 +167,8 @@ def _add_tool(held: mujoco.MjsBody, tool: Tool, grip: Grip, in_hand: Rotation) -
     for layer, shape in enumerate(tool.shapes):
         if isinstance(shape, Box):
             size = grip.scale * np.array(shape.half_extents)
-            size[size.argmin()] *= 1 - 0.02 * (
-                layer % 8
-            )  # of boxes with a common side one is in front
+            # of boxes with a common side one is in front
+            size[size.argmin()] *= 1 - 0.02 * (layer % 8)
             kind = mujoco.mjtGeom.mjGEOM_BOX
         elif isinstance(shape, Capsule):
             size = grip.scale * np.array([shape.radius, shape.half_length, 0.0])

@@ -20,10 +20,10 @@ from understudy.errors import ConfigError, FileError, PluginError, UnderstudyErr
 from understudy.options import make_options
 from understudy.records import runs
 from understudy.records.runs import Run
+from understudy.setup.building import build_scene
 from understudy.setup.plugins import installed
 from understudy_amorphous.character import GRIPS, TOOL, Figure, Grip, figure, placed
 from understudy_amorphous.scene import AmorphousScene
-from understudy_characters.recording import scene_of
 from understudy_characters.shapes import shapes
 from understudy_motion.arguments import finite, positive
 from understudy_motion.clip import Clip
@@ -210,7 +210,7 @@ def _recorded(run: Run) -> _Recorded:
 def _scene(run: Run) -> AmorphousScene:
     experiment = run.experiment()
     chosen = experiment.need("scene")
-    scene = scene_of(experiment, {})
+    scene = build_scene(experiment, {}).scene
     if not isinstance(scene, AmorphousScene):
         raise ConfigError(
             f"The run's scene '{chosen.component.name}' has no tool for a hand; give a run of "

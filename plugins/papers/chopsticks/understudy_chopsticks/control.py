@@ -32,9 +32,8 @@ class State(Encoder):
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
         object: bool = False  #: the object as it is and as it is planned, in the palm's frame
         shape: bool = False  #: of what kind the object is, and how large: where worlds differ in it
-        stroke: bool = (
-            False  #: how far a brush's tip is from where it shall be, in the palm's frame
-        )
+        #: how far a brush's tip is from where it shall be, in the palm's frame
+        stroke: bool = False
 
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "encoder 'chopsticks/state'")

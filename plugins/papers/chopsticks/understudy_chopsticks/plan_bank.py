@@ -17,7 +17,8 @@ from torch import Tensor
 from understudy import random
 from understudy.errors import ConfigError
 from understudy.task import Context, State
-from understudy_chopsticks.plan import Gripping, gripping
+from understudy_chopsticks.held_grip import Gripping
+from understudy_chopsticks.plan import gripping
 from understudy_hand.tools import mujoco_sizes
 from understudy_tensors import rotations
 from understudy_tool_planner import objects

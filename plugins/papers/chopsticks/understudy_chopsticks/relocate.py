@@ -35,17 +35,15 @@ class Relocations(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        plans: int = (
-            4  #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
-        )
+        #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
+        plans: int = 4
         refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
         longest: float = 3.0  #: s: relocations that take longer are not followed
         relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
-        thrown: bool = (
-            False  #: whether the object is thrown, to the table's far side (section 5.7.2)
-        )
+        #: whether the object is thrown, to the table's far side (section 5.7.2)
+        thrown: bool = False
         #: whether plans count on the tool where it comes to rest in the hand, and not where its grip was found for
         settled: bool = False
         #: m: how much further along its lower part the tool is held, drawn evenly for each plan; beyond 0 the hand is nearer

@@ -142,9 +142,8 @@ def parameters(strategies: Sequence[Strategy], options: Options, seed: int) -> s
     for s in strategies:
         book.book.trials[s.trial.key] = s.trial
         book.book.reports[s.trial.key] = s.report
-    from understudy_diversity.search import (
-        model_of,
-    )  # a sweep of other loops is drawn without BoTorch
+    # a sweep of other loops is drawn without BoTorch
+    from understudy_diversity.search import model_of
 
     made = model_of(book, seed, len(strategies))
     names = list(options.parameters)

@@ -57,9 +57,8 @@ class GalleryOptions:
     index: int = 0  #: which number of ``track``, from 0
     #: value of ``track``, in its unit, at which the picture is taken; null takes the greatest
     at: float | None = None
-    names: Mapping[str, str] = field(
-        default_factory=dict
-    )  #: of parameters and features, for people
+    #: of parameters and features, for people
+    names: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -45,9 +45,9 @@ PARTS = {
         "dressing/held_jacket": ("initial_states:HeldJacket", "a jacket hangs from the left hand"),
     },
     "job": {
-        "dressing/lead": ("leading:Lead", "leads arms from under the hem into the sleeve"),
-        "dressing/lead_grip": ("leading:LeadGrip", "leads a dressed arm's hand to the hem"),
-        "dressing/lead_rest": ("leading:LeadRest", "leads a dressed person to the neutral pose"),
+        "dressing/lead": ("lead:Lead", "leads arms from under the hem into the sleeve"),
+        "dressing/lead_grip": ("lead_grip:LeadGrip", "leads a dressed arm's hand to the hem"),
+        "dressing/lead_rest": ("lead_rest:LeadRest", "leads a dressed person to the neutral pose"),
     },
     "reward": {
         "dressing/along_way": ("terms:AlongWay", "how near the pose is to one that was led"),

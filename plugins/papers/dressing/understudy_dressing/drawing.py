@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from understudy_dressing.person import radii, sensors, tool_bodies
+from understudy_dressing.body import radii, sensors, tool_bodies
 
 #: Fields that are recorded for it.
 FELT = ("sensor_force", "sensor_sign", "fingertip", "task_vector")

@@ -10,8 +10,8 @@ import numpy as np
 
 from understudy_cloth.garments import Garment
 from understudy_cloth.scene import ClothModel, ClothScene
+from understudy_dressing.body import Side
 from understudy_dressing.drawing import FELT, Felt
-from understudy_dressing.person import Side
 
 
 class Alone(ClothScene):

@@ -18,7 +18,7 @@ from understudy.task import Context
 from understudy_cloth.garments import Garment, holes_of, read_garment
 from understudy_cloth.mesh import edges_of
 from understudy_cloth.scene import ClothModel, Fabric, Grip
-from understudy_dressing.person import Side
+from understudy_dressing.body import Side
 from understudy_dressing.sleeve import HangingScene
 from understudy_warp_torch.tools import Tool
 

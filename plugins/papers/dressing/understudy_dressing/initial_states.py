@@ -13,10 +13,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
+from understudy_dressing.body import Side
 from understudy_dressing.jacket import JacketScene
-from understudy_dressing.person import PersonScene, Side, depth_in, neutral_pose
-from understudy_dressing.shirt import IN_SLEEVE, ShirtScene, Worn
+from understudy_dressing.person import PersonScene, depth_in, neutral_pose
+from understudy_dressing.shirt import ShirtScene, Worn
 from understudy_dressing.sleeve import HangingScene
+from understudy_dressing.waypoints import IN_SLEEVE
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
@@ -151,9 +153,8 @@ class WornShirt(_Settled):
         other_dressed: bool = False  #: whether the other arm is in its own sleeve
         push: float = 0.5  #: m/s, of all of the cloth (2018 code: 0.5, of an unknown unit)
         noise: float = 0.01  #: rad, uniform, of the pose
-        rates: float = (
-            0.1  #: rad/s, uniform, of its velocity (2018 code: 0.1 of the first two subtasks)
-        )
+        #: rad/s, uniform, of its velocity (2018 code: 0.1 of the first two subtasks)
+        rates: float = 0.1
 
         def __post_init__(self) -> None:
             check_range(self, "push", "noise", "rates", least=0, most=10)

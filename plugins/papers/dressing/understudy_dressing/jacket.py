@@ -13,9 +13,10 @@ from understudy.task import Context
 from understudy_cloth.garments import Garment
 from understudy_cloth.patterns import JACKET, jacket
 from understudy_cloth.scene import ClothModel, Fabric, Grip
+from understudy_dressing.body import TIP, tool_bodies, tools
 from understudy_dressing.garment import CutGarment
-from understudy_dressing.person import TIP, PersonScene, neutral_pose, tool_bodies, tools
-from understudy_dressing.shirt import Moves
+from understudy_dressing.moves import Moves
+from understudy_dressing.person import PersonScene, neutral_pose
 
 #: 2018 code: rad, of the elbow of the hand that holds it; m, of the patch on the edge of the front from the right sleeve's
 #: entrance.

@@ -10,15 +10,15 @@ import torch
 from scipy.optimize import least_squares
 
 from understudy_cloth.mesh import face_areas
-from understudy_dressing.person import Side
-from understudy_dressing.shirt import DRESSED, HOLDERS, TRUNK, Moves, ShirtScene
+from understudy_dressing.body import Side
+from understudy_dressing.moves import APART, TRUNK, Moves
+from understudy_dressing.shirt import HOLDERS, ShirtScene
 from understudy_dressing.shirt_state import grip_target
 from understudy_dressing.state import centre_and_normal, progress
+from understudy_dressing.waypoints import DRESSED
 
 #: What the elbow weighs beside the fingertip; m beyond the entrance, where that goes.
 _WEIGHT, _BEYOND = 0.7, 0.12
-#: m: so far links stay apart.
-_APART = 0.003
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Led(Moves):
             self._place(pose)
             at = self.bones(self._side)
             mujoco.mj_collision(self._body, self._data)
-            near = sum(np.maximum(0.0, _APART - self._data.contact.dist).tolist())
+            near = sum(np.maximum(0.0, APART - self._data.contact.dist).tolist())
             return np.concatenate([at[0] - tip, weight * (at[3] - elbow), 0.03 * (hinges - begin), [3.0 * near]])  # fmt: skip
 
         inner = np.clip(begin, self._low + 1e-3, self._high - 1e-3)

@@ -11,7 +11,8 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, box
 from understudy_cloth.scene import ClothScene
-from understudy_dressing.person import PersonScene, sensors
+from understudy_dressing.body import sensors
+from understudy_dressing.person import PersonScene
 
 
 class SleeveObservation(Encoder):
@@ -101,9 +102,8 @@ class Torques(Actuation):
     @dataclass(frozen=True)
     class Options:
         closed: tuple[bool, ...] = (True,)  #: of each grip of the garment, whether it holds
-        most: float = (
-            1.0  #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
-        )
+        #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
+        most: float = 1.0
 
         def __post_init__(self) -> None:
             check_range(self, "most", above=0, most=1)

@@ -11,16 +11,8 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
-from understudy_dressing.person import (
-    SIDES,
-    TIP,
-    PersonScene,
-    Side,
-    Vector,
-    limb,
-    neutral_pose,
-    sensors,
-)
+from understudy_dressing.body import SIDES, TIP, Side, Vector, limb, sensors
+from understudy_dressing.person import PersonScene, neutral_pose
 from understudy_dressing.shirt import ShirtScene
 from understudy_dressing.state import Places, in_world, passes, pierces, places_on
 

@@ -16,8 +16,8 @@ from understudy.options import check_range
 from understudy.task import Context
 from understudy_cloth.scene import ClothModel, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
+from understudy_dressing.body import Side, tools
 from understudy_dressing.garment import Alone, GarmentScene
-from understudy_dressing.person import Side, tools
 from understudy_warp_torch.tools import Tool
 
 #: The most vertices of a sleeve: as many as a shirt has.
@@ -69,9 +69,8 @@ class SleeveScene(HangingScene):
         around: float = 0.46  #: m, perimeter (the 2018 code's gown: 0.46)
         length: float = 0.30  #: m, along the arm
         edge: float = 0.012  #: m, of triangles, about
-        middle: float = (
-            0.06  #: m, from the entrance to the loop that is observed (facts of the shirt)
-        )
+        #: m, from the entrance to the loop that is observed (facts of the shirt)
+        middle: float = 0.06
         held: float = 20.0  #: degrees, to either side of the top, of the entrance that is held
         strip: float = 20.0  #: degrees, to either side of the top, held all along
         #: what it is made of; without bending the hinges cost nothing

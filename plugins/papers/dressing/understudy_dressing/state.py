@@ -12,8 +12,9 @@ from torch import Tensor
 
 from understudy.task import Context, Fields, Shape
 from understudy_cloth.mesh import face_areas
+from understudy_dressing.body import Side, Vector, limb, sensors
 from understudy_dressing.garment import GarmentScene
-from understudy_dressing.person import PersonScene, Side, Vector, limb, sensors
+from understudy_dressing.person import PersonScene
 from understudy_dressing.sleeve import geodesic
 from understudy_tensors import rotations
 

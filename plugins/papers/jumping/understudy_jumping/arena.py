@@ -32,10 +32,8 @@ _OBSTACLE, _GAP, _THICK = "obstacle", 0.02, 0.8
 class ArenaOptions:
     """The obstacle and the mat behind it."""
 
-    height: tuple[float, float] = (
-        0.5,
-        2.0,
-    )  #: m, of the obstacle at difficulty 0 and 1 (table 4.1)
+    #: m, of the obstacle at difficulty 0 and 1 (table 4.1)
+    height: tuple[float, float] = (0.5, 2.0)
     width: tuple[float, float] = (0.02, 0.02)  #: m, along the jump, likewise
     #: Difficulties at which ρ, by which control rate and offsets are scheduled, is 0 and 1.
     schedule: tuple[float, float] = (0.0, 1 / 3)

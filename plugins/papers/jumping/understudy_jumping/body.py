@@ -29,9 +29,8 @@ class Body:
 
     names: tuple[str, ...]  #: (G,) of the bodies that carry the geoms
     geoms: Tensor  #: (G,) ids
-    offsets: (
-        Tensor  #: (G, 3) m: from a geom's centre to one end, in its frame; the other is opposite
-    )
+    #: (G, 3) m: from a geom's centre to one end, in its frame; the other is opposite
+    offsets: Tensor
     radii: Tensor  #: (G,) m
     boxes: Tensor  #: (G, 3) m, half sizes; 0 where it is no box
     links: Tensor  #: (K, 2) rows of geoms whose centres a segment joins

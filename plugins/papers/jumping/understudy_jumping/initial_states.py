@@ -61,15 +61,13 @@ class Takeoffs(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: Takeoff = field(
-            default_factory=Takeoff
-        )  #: the first take-off (table 4.3; of obstacle jumps table 4.4)
+        #: the first take-off (table 4.3; of obstacle jumps table 4.4)
+        takeoff: Takeoff = field(default_factory=Takeoff)
         others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
         pose: Literal["plant", "step"] = "plant"  #: the foot's planting, or the step before it
         distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
-        noise: float = (
-            0.02  #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
-        )
+        #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
+        noise: float = 0.02
 
         def __post_init__(self) -> None:
             check_range(self, "noise", least=0)

@@ -28,9 +28,8 @@ class Takeoff:
 
     v_z: float = -2.4  #: m/s, of the root to the right; the run bends to the right, and drifts left
     omega_x: float = -3.0  #: rad/s, of the root about forward
-    omega_y: float = (
-        -3.0
-    )  #: rad/s, about up; of high jumps always so, turning right as the run does
+    #: rad/s, about up; of high jumps always so, turning right as the run does
+    omega_y: float = -3.0
     omega_z: float = 1.0  #: rad/s, about right
     alpha: float = -0.05  #: rad, of approach: 0 has the obstacle on its left, π/2 in front
     forward: float = 4.5  #: m/s, of the root; not explored

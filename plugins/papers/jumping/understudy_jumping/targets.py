@@ -12,7 +12,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, box
 from understudy_characters.scene import CharacterScene
-from understudy_pose_vae.limits import Range, check_axes, servo_axes, target_limits
+from understudy_characters.target_limits import Range, check_axes, servo_axes, target_limits
 
 #: rad, of the right side: about the axes forward, left and up of the zero pose for balls. Ours, from
 #: tables of the ranges of motion of athletes; the left side mirrors the first and the last axis.
@@ -40,9 +40,8 @@ class Targets(Actuation):
         #: By joint instead of :data:`RANGES`: (least, most) of each axis, no margin added.
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
         margin: float = 0.5  #: rad, from 0, that targets may lie beyond a joint's range
-        rest: Mapping[str, tuple[float, ...]] = field(
-            default_factory=dict
-        )  #: rad, by joint; else 0
+        #: rad, by joint; else 0
+        rest: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
             check_range(self, "margin", least=0)

@@ -11,9 +11,9 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import ActionSpace, Actuation, Box, Context, Shape
 from understudy_characters.scene import CharacterScene
+from understudy_characters.target_limits import Range, target_limits
 from understudy_pose_vae.features import joint_rotations
 from understudy_pose_vae.job import trained_poses
-from understudy_pose_vae.limits import Range, target_limits
 from understudy_pose_vae.targets import ServoTargets
 
 

@@ -86,9 +86,8 @@ class LearnPoses(NetworkJob[PoseVAE]):
         clips: tuple[str, ...]
         character: str = "humanoid"  #: whose joints and lengths the poses have
         #: whether every pose is learned from left to right, too
-        mirror: bool = (
-            True  #: learn mirror images too; with them the authors' clips are 20 230 poses
-        )
+        #: learn mirror images too; with them the authors' clips are 20 230 poses
+        mirror: bool = True
         held_out: float = 0.1  #: share of the clips that only evaluations see
         latent: int | None = 13  #: L; null takes as many as principal components cover ``coverage``
         coverage: float = 0.85  #: share of the poses' variance that ``latent=null`` has to cover

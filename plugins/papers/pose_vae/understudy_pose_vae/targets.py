@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy_characters.character import Character, Joint
+from understudy_characters.character import Character
+from understudy_characters.joint import Joint
 from understudy_tensors import rotations
 
 

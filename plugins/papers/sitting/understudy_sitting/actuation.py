@@ -37,9 +37,8 @@ class AroundClip(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        least: float = (
-            0.15  #: rad that an action of 1 is at least, for joints that the clip keeps still
-        )
+        #: rad that an action of 1 is at least, for joints that the clip keeps still
+        least: float = 0.15
         lag: float | None = None  #: s, the time constant; null follows at once
 
         def __post_init__(self) -> None:

@@ -43,9 +43,8 @@ class ChairOptions:
     back: float | None = 0.45  #: height of the back above the seat; null for none
     arms: float | None = None  #: height of the arm rests above the seat; null for none
     legs: bool = True  #: four legs; false leaves a seat that floats
-    mesh: str | None = (
-        None  #: path of an OBJ, STL, PLY or glTF file with z up, on the floor, facing x
-    )
+    #: path of an OBJ, STL, PLY or glTF file with z up, on the floor, facing x
+    mesh: str | None = None
     mesh_scale: float = 1.0  #: of its lengths, to m
     friction: float = 1.0  #: sliding, of MuJoCo's contacts
     pelvis: str = "root"  #: the figure's link that sits

@@ -254,14 +254,11 @@ class AtChair:
     before eq. 8 rewards any of it. From here first the sit is found, then the turn, then the way.
     """
 
-    banks: tuple[
-        str, ...
-    ] = ()  #: banks of states, or the folders of runs that have one; none: no such episodes
+    #: banks of states, or the folders of runs that have one; none: no such episodes
+    banks: tuple[str, ...] = ()
     share: float = 0.25  #: of the training episodes; evaluations have none
-    ahead: Range = (
-        0.4,
-        0.9,
-    )  #: m before the seat's middle; the clip of sitting begins 0.45 m from it
+    #: m before the seat's middle; the clip of sitting begins 0.45 m from it
+    ahead: Range = (0.4, 0.9)
     aside: float = 0.2  #: m, from 0, off the seat's middle, to each side
     degrees: float = 180.0  #: off the direction in which the chair faces, to each side
 
@@ -295,9 +292,8 @@ class AroundChair(InitialStates):
     class Options:
         zone: int | None = None  #: 1, 2 or 3; null follows the difficulty
         keep: float = 0.5  #: share of the episodes that begin in an earlier zone or this one
-        sector: float | None = (
-            None  #: degrees of the newest sector in training; null: zones, as in the paper
-        )
+        #: degrees of the newest sector in training; null: zones, as in the paper
+        sector: float | None = None
         distance: float = 2.0  #: m from the seat's middle
         spread: float = 0.2  #: m, by which that distance may be more or less
         degrees: float = 30.0  #: off the direction to the chair, to each side

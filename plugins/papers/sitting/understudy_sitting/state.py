@@ -246,12 +246,10 @@ class Seat(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        upright: float | None = (
-            45.0  #: degrees from the vertical; null: lying across the seat counts
-        )
-        facing: float | None = (
-            60.0  #: degrees from where the chair faces; null: any direction counts
-        )
+        #: degrees from the vertical; null: lying across the seat counts
+        upright: float | None = 45.0
+        #: degrees from where the chair faces; null: any direction counts
+        facing: float | None = 60.0
         #: m from the seat's middle to the pelvis, which is 0.1 to 0.2 m from it when sitting; null: edges are seats, too.
         #: Who sits as the clip does, at the front, needs more on seats deeper than 0.6 m.
         within: float | None = 0.25
@@ -290,9 +288,8 @@ class Seat(Fields):
         if self._options.upright is not None:
             sits = sits & (pitch.cos() * roll.cos() > math.cos(math.radians(self._options.upright)))
         if self._options.facing is not None:
-            ahead = rotations.to_matrix(turned)[
-                :, 0, 0
-            ]  # of the chair's x axis, in the figure's frame
+            # of the chair's x axis, in the figure's frame
+            ahead = rotations.to_matrix(turned)[:, 0, 0]
             sits = sits & (ahead > math.cos(math.radians(self._options.facing)))
         distance = away.norm(dim=1)
         if self._options.within is not None:

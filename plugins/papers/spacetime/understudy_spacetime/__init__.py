@@ -44,12 +44,12 @@ PARTS = {
         "spacetime/feedforward_feedback": ("policy:FeedforwardFeedback", "reference and offset"),
     },
     "initial_states": {
-        "spacetime/importance": ("initial_states:Importance", "more where returns are low"),
-        "spacetime/evolution": ("initial_states:Evolution", "elite states of past rollouts"),
-        "spacetime/clip_start": ("initial_states:ClipStart", "the clip's beginning"),
-        "spacetime/phases": ("initial_states:Phases", "a part of the clip"),
-        "spacetime/flyable": ("initial_states:Flyable", "any time from which it can be flown"),
-        "spacetime/evolved": ("initial_states:Evolved", "another run's evolved initial states"),
+        "spacetime/importance": ("importance:Importance", "more where returns are low"),
+        "spacetime/evolution": ("evolution:Evolution", "elite states of past rollouts"),
+        "spacetime/clip_start": ("clip_starts:ClipStart", "the clip's beginning"),
+        "spacetime/phases": ("clip_starts:Phases", "a part of the clip"),
+        "spacetime/flyable": ("clip_starts:Flyable", "any time from which it can be flown"),
+        "spacetime/evolved": ("evolution:Evolved", "another run's evolved initial states"),
     },
     "curriculum": {
         "spacetime/adaptive_bounds": ("adaptive:AdaptiveBounds", "tighter where it is mastered"),

@@ -12,7 +12,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
-from understudy_spacetime.initial_states import of_segments
+from understudy_spacetime.segments import of_segments
 
 
 class AdaptiveBounds(Curriculum):

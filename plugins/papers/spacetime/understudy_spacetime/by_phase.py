@@ -10,7 +10,7 @@ from understudy.records.runs import Run
 from understudy_report.charts import Axes, grid, svg
 from understudy_report.section import ReportSection
 from understudy_report.values import mapping, number, read_evaluation
-from understudy_spacetime.initial_states import fall_of
+from understudy_spacetime.clip_starts import fall_of
 from understudy_spacetime.section import context_of
 
 #: Of a run that was judged with ``+starts=spacetime/phases``: from each part, and from what can be flown.

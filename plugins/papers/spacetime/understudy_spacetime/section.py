@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from understudy.records.runs import Run
+from understudy.setup.building import build_scene
 from understudy.task import Context
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
@@ -17,7 +18,7 @@ from understudy_characters.state import joint_rotations
 from understudy_report.charts import Axes, grid, svg
 from understudy_report.section import ReportSection
 from understudy_report.values import mapping
-from understudy_spacetime.initial_states import evolved_states
+from understudy_spacetime.evolution import evolved_states
 from understudy_tensors.rotations import angle_between
 
 
@@ -73,16 +74,10 @@ def evolution_of(run: Run) -> Evolved:
 def context_of(run: Run) -> Context:
     """With the scene and the clip of `run`, on the CPU."""
     experiment = run.experiment()
-    control = experiment.root.control
-    context = Context(
-        0, torch.device("cpu"), 1,
-        control_dt=1.0 / control.frequency, substeps=control.substeps,
-        sections={"motion": experiment.registry.sections["motion"].build.factory(
-            experiment.sections["motion"], experiment.registry, experiment.inputs)},
-        registry=experiment.registry, inputs=experiment.inputs,
-    )  # fmt: skip
-    context.scene = experiment.need("scene").build(context)
-    return context
+    motion = experiment.registry.sections["motion"].build.factory(
+        experiment.sections["motion"], experiment.registry, experiment.inputs
+    )
+    return build_scene(experiment, {"motion": motion})
 
 
 def _joints(layout: Layout, qpos: Tensor) -> Tensor:

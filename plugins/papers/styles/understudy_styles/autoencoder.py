@@ -16,10 +16,9 @@ from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
 from understudy.records.checkpoint import misshapen
 from understudy.records.runs import newest_state
-from understudy.setup.building import device_of
+from understudy.setup.building import build_scene, device_of
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
-from understudy.task import Context
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_networks.supervised import NetworkJob
@@ -88,11 +87,7 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         self.options, root = options, experiment.root
         self._seed, self.device = root.seed, device_of(root.device)
         self._dt = 1.0 / root.control.frequency
-        context = Context(
-            root.seed, self.device, 1, control_dt=self._dt, substeps=root.control.substeps,
-            registry=experiment.registry, inputs=experiment.inputs,
-        )  # fmt: skip
-        scene = experiment.need("scene").build(context)
+        scene = build_scene(experiment, {}).scene
         if not isinstance(scene, CharacterScene):
             raise ConfigError("job 'styles/autoencoder' needs a character (scene=humanoid).")
         self._scene, self._registry = scene, experiment.registry

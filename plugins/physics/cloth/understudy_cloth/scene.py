@@ -28,9 +28,8 @@ class Fabric:
     shear: float = 1e4  #: N/m, along edges that are the diagonal of a quadrilateral
     bending: float = 1e-5  #: N m, flexural rigidity; 5e-6 to 2e-5 is usual for shirts' cotton
     damping: float = 1.0  #: 1/s, drag of the air
-    friction: float = (
-        0.5  #: on itself; on a body the mean with the body's (0.5 of 1: the 2018 code)
-    )
+    #: on itself; on a body the mean with the body's (0.5 of 1: the 2018 code)
+    friction: float = 0.5
     thickness: float | None = None  #: m between layers; null: 0.9 of the mean edge
     gap: float = 0.003  #: m between the cloth's middle and a body's surface
 

@@ -82,9 +82,8 @@ class ClothSimulator(WarpSimulator):
         #: sub-steps from one sweep over hinges to the next, in which they act for all of these at once; null:
         #: as many as bending is soft enough for, within 2 ms (it costs most of a sub-step)
         bending_every: int | None = None
-        candidates: int = (
-            32  #: M, vertices of other layers that one may touch until the next search
-        )
+        #: M, vertices of other layers that one may touch until the next search
+        candidates: int = 32
         #: `block` keeps a world on one multiprocessor; `launches` has a kernel for each phase
         traversal: Literal["block", "launches"] = "block"
         #: of a block; null: a quarter of the vertices, 128 to 512, since those of a colour are fewer

@@ -161,9 +161,8 @@ class Kernels:
     """What is launched, each with its arguments and its number of threads."""
 
     block: Any  #: (cloth, sub-steps), tiled by worlds
-    begin: (
-        Any  #: (cloth, whether this resumes), (N, buckets, vertices or shapes, whichever is most)
-    )
+    #: (cloth, whether this resumes), (N, buckets, vertices or shapes, whichever is most)
+    begin: Any
     insert: Any  #: (cloth, whether this resumes), (N, V or F)
     search: Any  #: (cloth, whether this resumes), (N, V)
     tools: Any  #: (cloth,), N

@@ -40,9 +40,8 @@ class Contact:
     #: which of MuJoCo's integrators steps the physics
     integrator: Literal["euler", "rk4", "implicit", "implicitfast", "discrete"] | None = None
     cone: Literal["pyramidal", "elliptic"] | None = None  #: shape of MuJoCo's friction cone
-    impratio: float | None = (
-        None  #: how much harder friction is than normal forces; more slips less
-    )
+    #: how much harder friction is than normal forces; more slips less
+    impratio: float | None = None
     iterations: int | None = None  #: the most that the solver does a step
     ls_iterations: int | None = None  #: the most of a line search in each of them
     noslip_iterations: int | None = None  #: afterwards, against slip; not with ``discrete``

@@ -31,12 +31,10 @@ class Fluid:
 
     rest_density: float  #: kg/m³
     smoothing: float  #: m, h: the kernels' radius; about twice the distance of neighbours at rest
-    viscosity: float = (
-        0.05  #: share of the neighbours' mean velocity taken over in a sub-step, [0, 1]
-    )
-    tension: float = (
-        0.0  #: share of the density constraint that also pulls, where density is too low
-    )
+    #: share of the neighbours' mean velocity taken over in a sub-step, [0, 1]
+    viscosity: float = 0.05
+    #: share of the density constraint that also pulls, where density is too low
+    tension: float = 0.0
 
     def __post_init__(self) -> None:
         check_range(self, "rest_density", "smoothing", above=0)
@@ -53,9 +51,8 @@ class Material:
 
     friction: float = 0.4  #: dynamic (Macklin et al. 2014, section 6.1)
     static_friction: float | None = None  #: null: as `friction`
-    cohesion: float = (
-        0.0  #: share of a gap within `cohesion_range` that closes in an iteration, [0, 1]
-    )
+    #: share of a gap within `cohesion_range` that closes in an iteration, [0, 1]
+    cohesion: float = 0.0
     cohesion_range: float = 0.25  #: of the sum of two radii
     damping: float = 0.0  #: 1/s, drag of the air
     fluid: Fluid | None = None
@@ -129,9 +126,8 @@ class ParticleModel:
     positions: np.ndarray  #: (P, 3), m: where particles are at first
     radius: PerParticle  #: m, half the distance at which two touch
     mass: PerParticle  #: kg; 0 is a particle that does not move
-    material: int | Sequence[int] | np.ndarray = (
-        0  #: index into `materials`, of all or of each (P,)
-    )
+    #: index into `materials`, of all or of each (P,)
+    material: int | Sequence[int] | np.ndarray = 0
     materials: tuple[Material, ...] = (Material(),)
     springs: Springs = field(default_factory=Springs)
     tools: tuple[Tool, ...] = ()  #: T

@@ -1,4 +1,4 @@
-"""What N worlds compute with: rotations of batched quaternions, and simulators whose state is tensors.
+"""Batched mathematics for N worlds: rotations as quaternions, and simulators whose state is tensors.
 
 It registers nothing; ``understudy_tensors.rotations`` and ``.simulator`` are for other plugins.
 """

@@ -39,7 +39,7 @@ class _Capture(Generic[T]):
 
 
 class Captured(Generic[T]):
-    """`work` on an action (N, A), replayed from its fourth call on where `environment` is on a GPU.
+    """`work` on an action (N, A); on a GPU, it is replayed from its fourth call on.
 
     There is one capture for each number of control periods in a decision. Work that cannot be
     captured, because a part waits for the device, goes on uncaptured, with a warning that says why.
@@ -76,7 +76,7 @@ class Captured(Generic[T]):
         return self._warm(action) if self._calls[kind] <= _WARM_UP else self._take(action, kind)
 
     def _warm(self, action: Tensor) -> T:
-        """As it is, but on the stream it will be captured on: libraries allocate there."""
+        """Run `work` as it is, but on the stream of the capture, where libraries then allocate."""
         assert self._stream is not None
         self._stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(self._stream):

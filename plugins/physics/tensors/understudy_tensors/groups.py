@@ -15,12 +15,12 @@ __all__ = ["Groups"]
 
 
 class Groups:
-    """World i is of group i mod G, so all groups are as large, to one world.
+    """World i belongs to group i mod G, so the sizes of groups differ by one world at most.
 
     Parameters
     ----------
     names
-        of the G groups; those of several are fields ``from_NAME`` (), 1 in the worlds of that group.
+        of the G groups. If there are several, each is a field ``from_NAME`` (), 1 in the worlds of that group.
     context
         of the task; an evaluation may have fewer worlds than groups.
     absent
@@ -55,7 +55,7 @@ class Groups:
         return dict(self._flags)
 
     def of_worlds(self, rows: Any) -> Tensor:
-        """(N, …) float32 of `rows` (G, …): each world has its group's."""
+        """(N, …) float32: for each world, the row of its group in `rows` (G, …)."""
         found = torch.as_tensor(rows, dtype=torch.float32).to(self.number.device)
         return found[self.number]
 

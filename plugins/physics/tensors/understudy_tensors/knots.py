@@ -1,4 +1,4 @@
-"""What follows from a number by straight lines between points, of all worlds at once."""
+"""Functions of a number that are linear between points, in all worlds at once."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def turn_matrix(angle: Tensor) -> Tensor:
 
 
 def turned(vectors: Tensor, angle: Tensor) -> Tensor:
-    """``vectors`` (N, K, 3) turned by ``angle`` (N,) about world z: many in less time than by a matrix."""
+    """``vectors`` (N, K, 3) turned by ``angle`` (N,) about world z; for many, faster than a matrix."""
     x, y, _ = vectors.unbind(-1)
     cosine, sine = angle.cos().unsqueeze(1), angle.sin().unsqueeze(1)
     result = vectors.clone()

@@ -1,7 +1,7 @@
 """Distances of points and segments, batched.
 
-The places on two segments that are nearest to one another are found without gradients and then held: there
-moving them changes nothing, so the gradients are those of the distance.
+The nearest places on two segments are found without gradients and then held: moving them there changes the
+distance by nothing, so its gradients are right.
 """
 
 from __future__ import annotations

@@ -19,8 +19,7 @@ __all__ = ["TensorSimulator"]
 class TensorSimulator(Simulator):
     """Keeps fields and parameters, (N, …) by name, in ``_state``, which steps change in place.
 
-    *Limits:* it has no physics of its own. All worlds are stepped, also those that have
-    ended.
+    *Limits:* it has no physics of its own. All worlds are stepped, even those whose episode has ended.
     """
 
     _state: dict[str, Tensor]

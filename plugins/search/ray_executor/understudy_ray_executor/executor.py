@@ -36,9 +36,8 @@ class RayExecutor:
     @dataclass(frozen=True)
     class Options:
         address: str | None = None  #: of a cluster (``auto``, ``ray://…``); null starts one here
-        workers: int | None = (
-            None  #: trials at once; null is as many as there is room for. Of more some wait, until the cluster grows
-        )
+        #: trials at once; null is as many as there is room for. Of more some wait, until the cluster grows
+        workers: int | None = None
         num_cpus: float = 1.0  #: CPU cores that Ray keeps for a trial
         num_gpus: float | None = None  #: of a trial; null is one where device=cuda, else none
         threads: int = 1  #: of torch, in each trial

@@ -293,9 +293,8 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
     """A line for each search: its best value when all have spent as much, and in the end. A search
     that still runs is compared once it has spent as much as the others did in the end."""
     searches = [one for found in cells.values() for one in found]
-    spent = [
-        one for one in searches if one.spent > 0
-    ] or searches  # some had no trial that could begin
+    # some had no trial that could begin
+    spent = [one for one in searches if one.spent > 0] or searches
     equal = min(one.spent for one in [s for s in spent if s.finished] or spent)
     name, at_equal = next(iter(cells)), {}
     for column, found in cells.items():

@@ -34,15 +34,13 @@ class Figure:
 class Record:
     """A file of trainings that were run elsewhere: the journal of a sweep, or with ``by`` rows of CSV or JSON."""
 
-    cells: Mapping[str, str] = field(
-        default_factory=dict
-    )  #: what it calls cells, ROW/COLUMN, otherwise
+    #: what it calls cells, ROW/COLUMN, otherwise
+    cells: Mapping[str, str] = field(default_factory=dict)
     less: str = ""  #: in words: how far its trainings fall short of the table's
     by: tuple[str, ...] = ()  #: of a row: the dotted paths of the words that make the cell's name
     values: Mapping[str, str] = field(default_factory=dict)  #: of a row: by figure, its path
-    where: Mapping[str, str] = field(
-        default_factory=dict
-    )  #: of a row: by path, what it must say to count
+    #: of a row: by path, what it must say to count
+    where: Mapping[str, str] = field(default_factory=dict)
     seed: str = "seed"  #: of a row: the path of its seed; 0 where it has none
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Outer loops over whole runs: the command ``sweep``, its journal, executors, and the plain grid."""
+"""Outer loops over whole runs: the command ``sweep``, its journal, executors, and the grid."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("reinforcement", "report", "skills", "training")

@@ -1,4 +1,4 @@
-"""Trainings that build on one another, as an outer loop: skills, where they end, the controller above."""
+"""An outer loop of trainings that build on one another, such as skills and a controller above them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _EXPERIMENT = re.compile(r"\+*experiment=")
 class Chain(OuterLoop):
     """Stages, each a run of the given overrides, in which ``{NAME}`` is the run folder of the stage NAME.
 
-    A stage begins once all those that it names are done; those that name none can begin at once. What
-    was trained is not trained again when the same sweep is started again; what failed is, as ``NAME~2``.
+    A stage begins once all stages that it names are done; one that names none can begin at once. When the same sweep
+    is started again, finished stages are not trained again; failed ones are, as ``NAME~2``.
     """
 
     extendable = ("stages",)
@@ -104,7 +104,7 @@ class Chain(OuterLoop):
             self.missing = [stage for stage in self._stages if not self._done(stage)]
 
     def summary(self) -> list[dict[str, Any]]:
-        """A row for each stage: what came of it, and its samples."""
+        """A row for each stage: its result and its samples."""
         return [
             {
                 "stage": stage,

@@ -12,7 +12,7 @@ from understudy.setup.composition import options as choices
 
 
 class Sweep(Command):
-    """Runs an outer loop over trainings, or goes on with it."""
+    """Runs an outer loop over trainings, or continues it."""
 
     example = "understudy sweep experiment=miniature/go 'variants={ppo: [], trpo: [learner=trpo]}' 'seeds=[0,1]'"
 
@@ -36,8 +36,8 @@ class Sweep(Command):
 
 
 def expanded(words: Sequence[str]) -> list[str]:
-    """`words` with ``variants=`` and ``seeds=`` as the grid's, one trial after the other unless they say
-    more: what nearly every comparison is."""
+    """`words` with ``variants=`` and ``seeds=`` as options of the grid, with one trial after the other unless they say
+    otherwise, as in nearly every comparison."""
     short = ("variants=", "seeds=")
     found = [f"outer_loop.{word}" if word.startswith(short) else word for word in words]
     if found != list(words):

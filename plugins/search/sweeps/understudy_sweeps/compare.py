@@ -45,7 +45,7 @@ _ONE_SEED = (
 
 
 class Compare(Command):
-    """Reads run folders and writes one page, which needs no network; the runs stay as they are."""
+    """Reads run folders and writes one page, readable offline; the runs are not changed."""
 
     example = "understudy compare runs/spacetime-walk-001 runs/spacetime-walk-002"
 
@@ -114,8 +114,8 @@ class Compare(Command):
 
 
 def variants_among(opened: Sequence[Run]) -> list[Variant]:
-    """The runs as variants, in their order: those whose configurations differ in the seed alone are one,
-    unless that leaves nothing to compare."""
+    """The runs as variants, in their order. Runs whose configurations differ only in the seed are one variant, unless that
+    leaves nothing to compare."""
     groups: list[tuple[str, list[Run]]] = []
     for run in opened:
         same = json.dumps(_config(run), sort_keys=True, default=str)
@@ -134,12 +134,12 @@ def variants_among(opened: Sequence[Run]) -> list[Variant]:
 
 
 def _config(run: Run) -> dict[str, Any]:
-    """What of the configuration makes the variant, by key path."""
+    """The part of the configuration that makes the variant, by key path."""
     return {k: v for k, v in flat(run.config) if not k.startswith(_OF_THE_RUN)}
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Each folder's name, with as many of those above as it takes to tell them apart."""
+    """Each folder's name, with as many folders above it as are needed to tell them apart."""
     parts = [path.absolute().parts for path in paths]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(p[-count:]) for p in parts]
@@ -177,7 +177,7 @@ def _result(run: Run, variant: str) -> Result:
 
 
 def differences(opened: Sequence[Run]) -> dict[str, list[list[str]]]:
-    """By heading, the rows of key and each run's value where these are not all the same."""
+    """By heading, rows of a key and each run's value, where values differ."""
     code = [
         {
             **{f"code of {k}": v for k, v in mapping(run.info.get("code")).items()},
@@ -263,8 +263,8 @@ def _episodes(variants: Sequence[Variant]) -> list[str]:
 
 
 def _difference(first: Row, second: Row) -> tuple[float, float, float] | None:
-    """Of the success rates of two evaluations: second less first, with Newcombe's (1998, method 10) 95 %
-    interval from Wilson's of each."""
+    """The success rate of the second evaluation minus that of the first, with Newcombe's (1998, method 10) 95 % interval
+    from Wilson's of each."""
     rates = [number(e.get(SUCCESS)) for e in (first, second)]
     bounds = [interval(e.get("success_rate_95")) for e in (first, second)]
     match [*rates, *bounds]:
@@ -276,7 +276,7 @@ def _difference(first: Row, second: Row) -> tuple[float, float, float] | None:
 
 
 def _judging(variants: Sequence[Variant]) -> list[str]:
-    """What was not judged alike, which makes figures incomparable."""
+    """What was judged differently, so that figures cannot be compared."""
     found = []
     for key, name in (
         ("success", "a success"),

@@ -1,4 +1,4 @@
-"""Learning curves of variants: the mean over seeds in its band, the seeds thin behind it."""
+"""Learning curves of variants: the mean over seeds with a band, and thin curves of the seeds behind it."""
 
 from __future__ import annotations
 
@@ -89,8 +89,7 @@ def _points(result: Result, key: str) -> np.ndarray:
 
 
 def style_of(index: int) -> str:
-    """CSS by which a variant's curves are told from the others': a colour, and dashes from the
-    seventh on."""
+    """CSS that distinguishes a variant's curves: a colour, and dashes from the seventh variant on."""
     dashes = ("none", "7 3", "2 3", "9 3 2 3")[min(index // 6, 3)]
     return f"--series: var(--variant-{index % 6}); --dashes: {dashes}"
 

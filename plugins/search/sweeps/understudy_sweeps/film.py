@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from understudy.errors import FileError, RunError, UnderstudyError
 from understudy.folders import opened, read, write_atomically
 from understudy.records import runs
-from understudy.setup.building import build_sections
-from understudy.task import Context, Scene
+from understudy.setup.building import build_scene
+from understudy.task import Scene
 from understudy_report.recording import recorded_tracks
 from understudy_report.video import write_video
 
@@ -42,13 +41,12 @@ class Tile:
 
 
 def columns_of(count: int) -> int:
-    """In how many columns `count` tiles stand."""
+    """The number of columns for `count` tiles."""
     return 1 if count == 1 else 2 if count in (2, 4) else 3
 
 
 def shows(path: Path, tiles: Sequence[Tile]) -> bool:
-    """Whether the video `path` is of just these recordings; which of two files is newer says nothing where
-    clocks are set."""
+    """Whether the video `path` is of exactly these recordings; times of files are no evidence, since clocks are set."""
     mark = path.with_suffix(".json")
     try:
         with opened(path):  # as large as the page takes one
@@ -95,7 +93,7 @@ def make_film(path: Path, tiles: Sequence[Tile]) -> None:
 
 
 def _identity(tiles: Sequence[Tile]) -> bytes:
-    """What decides how the film looks."""
+    """Everything that the film's look depends on."""
     stamps = [
         (t.name, t.run.name, t.recording.stat().st_mtime_ns) for t in tiles if t.recording.exists()
     ]
@@ -104,7 +102,7 @@ def _identity(tiles: Sequence[Tile]) -> bytes:
 
 @dataclass(frozen=True)
 class _Take:
-    """A recording and what draws it."""
+    """A recording and the scene that draws it."""
 
     scene: Scene
     tracks: dict[str, np.ndarray]  #: by field, each (T, …)
@@ -142,21 +140,11 @@ class _Take:
 def scene_of(folder: Path) -> Scene:
     """The scene of the run in `folder`, on the CPU."""
     experiment = runs.open_run(folder).experiment()
-    root = experiment.root
-    context = Context(
-        seed=root.seed,
-        device=torch.device("cpu"),
-        num_worlds=1,
-        control_dt=1.0 / root.control.frequency,
-        substeps=root.control.substeps,
-        registry=experiment.registry,
-        sections=build_sections(experiment),
-        chosen=experiment.choices,
-        inputs=experiment.inputs,
-    )
     try:
-        return experiment.need("scene").build(context)
+        scene = build_scene(experiment).scene
     except UnderstudyError:
         raise
     except Exception as error:  # it may come from any plugin
         raise RunError(f"{type(error).__name__}: {error}") from error
+    assert scene is not None
+    return scene

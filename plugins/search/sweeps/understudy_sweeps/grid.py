@@ -13,7 +13,7 @@ from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 @dataclass(frozen=True)
 class Published:
-    """Numbers to compare with: one a variant, of one figure of the table."""
+    """Published numbers to compare with: one per variant, of one figure of the table."""
 
     caption: str  #: where they are from
     values: Mapping[str, float]  #: the published number of each variant

@@ -9,7 +9,7 @@ from understudy_sweeps.trial import check_device, run_trial
 
 
 class InProcess(Executor):
-    """No parallelism, no isolation: a trial that crashes the process stops the sweep."""
+    """No parallelism and no isolation: a trial that crashes the process stops the sweep."""
 
     def __init__(self, options: None, work: Work) -> None:
         check_device(work)

@@ -1,4 +1,4 @@
-"""Means over seeds, with 95 % intervals that hold for few of them."""
+"""Means over seeds, with 95 % intervals that hold for few seeds."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Mean:
-    """The mean of `count` values, and the 95 % interval of what they are drawn around."""
+    """The mean of `count` values, and the 95 % interval of the mean that they are drawn from."""
 
     value: float
     count: int
-    low: float | None = (
-        None  #: None of one or two values, which say next to nothing of their spread
-    )
+    #: None of one or two values, which say next to nothing of their spread
+    low: float | None = None
     high: float | None = None
 
     def clipped(self, low: float, high: float) -> Mean:
-        """For values that cannot lie beyond."""
+        """The same for values that cannot be beyond these limits."""
         if self.low is None or self.high is None:
             return self
         return Mean(self.value, self.count, max(self.low, low), min(self.high, high))
@@ -42,7 +41,7 @@ class Mean:
 def mean_of(values: Sequence[float]) -> Mean | None:
     """Student's t interval: mean ± t(0.975, n - 1) · s / √n; None without values.
 
-    Two values have none: at 12.7 times their standard error it would hold, and say nothing.
+    Two values get no interval: at 12.7 times their standard error, it would say nothing.
     """
     n = len(values)
     if n == 0:
@@ -59,7 +58,7 @@ HOLDS, FAILS, UNDECIDED, ONE = "holds", "does not hold", "undecided", "one seed"
 
 
 def verdict(values: Sequence[float], than: float, better: Literal["less", "more"]) -> str:
-    """Whether what the `values` are drawn around is less, or more, `than` a number; "" of none."""
+    """Whether the mean that the `values` are drawn from is less or more `than` a number; "" without values."""
     if len(values) < 2:
         return ONE if values else ""
     more = statistics.fmean(values) - than
@@ -70,8 +69,8 @@ def verdict(values: Sequence[float], than: float, better: Literal["less", "more"
 def verdict_between(
     ours: Mapping[int, float], theirs: Mapping[int, float], better: Literal["less", "more"]
 ) -> str:
-    """Whether `ours` are less, or more, than `theirs`, each by seed; "" where one has none. Seed by seed where two
-    or more are of both, else as two samples (Welch's t)."""
+    """Whether `ours` are less or more than `theirs`, each by seed; "" if one of them is empty. Compared seed by seed if both
+    have two or more seeds in common, else as two samples (Welch's t)."""
     fewest = min(len(ours), len(theirs))
     if fewest < 2:
         return ONE if fewest else ""
@@ -108,6 +107,6 @@ def t_quantile(count: int) -> float:
 
 
 def paired_difference(first: Mapping[int, float], second: Mapping[int, float]) -> Mean | None:
-    """How much more `second` has than `first`, each by seed, over the seeds that both have: what
-    differs between seeds and not between variants falls out."""
+    """The mean of `second` minus `first`, each by seed, over the seeds that both have, so that differences between seeds
+    cancel."""
     return mean_of([second[seed] - first[seed] for seed in first if seed in second])

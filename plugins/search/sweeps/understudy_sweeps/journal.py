@@ -1,7 +1,7 @@
-"""What was asked and told, in order, and on disk: the state of a sweep.
+"""The state of a sweep: what was asked and told, in order, on disk.
 
-A row of ``journal.jsonl`` is written when a trial is asked for, when it reports, and when it is
-finished, and is on the disk before anything follows from it.
+A row of ``journal.jsonl`` is written when a trial is asked for, when it reports, and when it is finished, and is on
+the disk before anything follows from it.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _MOST = 2**30  #: bytes of a journal
 
 @dataclass
 class Journal:
-    """One writer at a time: whoever holds the lock of the sweep's folder."""
+    """The journal of a sweep. It has one writer at a time, the holder of the folder's lock."""
 
     path: Path
     events: list[Trial | Report] = field(default_factory=list)
 
     @classmethod
     def open(cls, path: Path) -> Journal:
-        """The journal at `path`; a row cut short by a crash, or which another version wrote, is left out: it is kept in a file
-        beside, and that is said."""
+        """The journal at `path`. A row that a crash cut short, or that another version wrote, is left out, kept in a file
+        beside it, and reported."""
         journal, lost = cls._of(path)
         lost += journal._forget_strangers()
         leave_out(path, lost, ": what such a row told of is done again")
@@ -66,7 +66,7 @@ class Journal:
 
     @classmethod
     def read(cls, path: Path) -> Journal:
-        """As :meth:`open`, changing nothing; rows that are none of a journal's are left out, too.
+        """As :meth:`open`, but changes nothing; rows that are not a journal's are left out, too.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class Journal:
 
     @classmethod
     def _of(cls, path: Path) -> tuple[Journal, list[bytes]]:
-        """The journal at `path`, and its rows that are none; errors as :meth:`read`."""
+        """The journal at `path`, and the rows that are not a journal's; errors as of :meth:`read`."""
         journal, lost = cls(path), list[bytes]()
         try:
             lines = read(path, _MOST).splitlines()
@@ -105,7 +105,7 @@ class Journal:
 
     @property
     def finished(self) -> dict[str, Report]:
-        """The final reports, by trial; of two of one trial the first, as a sweep that goes on takes it."""
+        """By trial, the final report; of two, the first, which a sweep that continues takes, too."""
         found: dict[str, Report] = {}
         for event in self.events:
             if isinstance(event, Report) and event.final:
@@ -229,7 +229,7 @@ def _check(kind: Any, *values: Any) -> None:
 
 
 def _check_name(key: Any) -> None:
-    """A trial's folder has its name, so that has to be one of a file."""
+    """Check that a trial's name can be that of a folder."""
     _check(str, key)
     if not 0 < len(quote(key, safe="")) < 250:
         raise ValueError(key)

@@ -1,4 +1,4 @@
-"""Loops around whole trainings, as data: what is asked for, what comes back, who runs it."""
+"""Interfaces for loops around whole trainings: trials and reports, which are data, outer loops and executors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Executor", "OuterLoop", "Report", "Trial", "Work"]
 
 @dataclass(frozen=True)
 class Trial:
-    """One run that an outer loop asks for; everything about it is data.
+    """One run that an outer loop asks for, as data.
 
     ``start`` begins it from parts of another run: ``{"run": PATH, "parts": [...]}``, or ``{"trial":
     KEY, ...}`` for an earlier trial of the same loop.
@@ -30,7 +30,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Report:
-    """What a trial gave so far (status ``running``) or in the end: ``ok``, or why it has no result."""
+    """The result of a trial so far (status ``running``) or in the end (``ok``, or why it has none)."""
 
     key: str
     status: str
@@ -46,10 +46,10 @@ class Report:
 
 
 class OuterLoop(ABC):
-    """Proposes trials and digests reports. Its state is what it was told: replaying that resumes it.
+    """Proposes trials and learns from reports. Its state is what it was told: replaying that resumes it.
 
-    Built with ``(options, seed)``. Random draws for a trial depend on the seed and the trial's number
-    alone (``random.generator(seed, f"NAME/{number}")``), so that a resumed loop repeats itself.
+    Built with ``(options, seed)``. Random draws for a trial depend only on the seed and the trial's number
+    (``random.generator(seed, f"NAME/{number}")``), so that a resumed loop repeats itself.
     """
 
     extendable: tuple[str, ...] = ()  #: options that may grow and leave it the same loop
@@ -62,21 +62,21 @@ class OuterLoop(ABC):
 
     @abstractmethod
     def ask(self, number: int) -> Trial | None:
-        """The trial of this `number` (0, 1, …), or None while nothing can be asked for: for good,
-        if all reports were told."""
+        """The trial of this `number` (0, 1, …), or None while there is nothing to ask for; once all reports were told, None is
+        for good."""
 
     @abstractmethod
     def recall(self, trial: Trial) -> bool:
-        """Note a trial that was asked for before this process began; whether it is still wanted if it
-        is not finished. A ConfigError says that the loop knows another trial by that key."""
+        """Note a trial that was asked for before this process began; returns whether it is still wanted if it is not finished.
+        A ConfigError if the loop knows another trial by that key."""
 
     @abstractmethod
     def tell(self, report: Report) -> Literal["stop"] | None:
-        """Digest a report; after an intermediate one, "stop" ends that trial early."""
+        """Learn from a report; if it is an intermediate one, returning "stop" ends that trial early."""
 
     @abstractmethod
     def summary(self) -> list[dict[str, Any]]:
-        """Rows of a table of what was found so far."""
+        """Rows of a table of the findings so far."""
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,16 @@ class Executor(ABC):
 
     @abstractmethod
     def start(self, trial: Trial) -> None:
-        """Begin, or go on with, a trial."""
+        """Begin or continue a trial."""
 
     @abstractmethod
     def wait(self) -> Report | None:
-        """The next report of any started trial, or None after a while without. A trial that reported
-        pauses until this is called again."""
+        """The next report of any started trial, or None if none comes for a while. A trial that reported pauses until the next
+        call."""
 
     @abstractmethod
     def stop(self, key: str) -> None:
-        """End the trial that reported last; its final report comes by :meth:`wait`."""
+        """End the trial that reported last; :meth:`wait` gives its final report."""
 
     def close(self) -> None:  # noqa: B027 - in-process ones hold nothing
-        """Stop what still runs and release it; trials keep their checkpoints."""
+        """Stop what still runs and release resources; trials keep their checkpoints."""

@@ -1,7 +1,7 @@
-"""What a sweep shows of itself, anew after every finished trial.
+"""The pages of a sweep, written again after every finished trial.
 
-``page.html`` needs nothing else, not even the network; ``page.md`` says the same without pictures,
-``table.csv`` and ``trials.csv`` have every digit.
+``page.html`` is self-contained and readable offline; ``page.md`` is the same without pictures, and ``table.csv`` and
+``trials.csv`` have every digit.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ _REST = 19.0
 
 
 class SweepPage(ABC):
-    """A page beside the sweep's own, of any plugin: a component of kind ``sweep_page``, made without
-    arguments."""
+    """A further page of a sweep, by any plugin: a component of kind ``sweep_page``, made without arguments."""
 
     @abstractmethod
     def write(
@@ -81,8 +80,8 @@ class Page:
         return self.folder / "page.html"
 
     def write(self, journal: Journal, summary: Sequence[Row] = (), *, film: bool = False) -> None:
-        """All files, from what is known now and the outer loop's rows; with `film`, the video too, which takes a while. What
-        keeps it from being written is said, and the sweep goes on."""
+        """Write all files, from what is known now and the outer loop's rows; with `film` also the video, which takes a while. An
+        error in writing is reported, and the sweep continues."""
         results = self._results.of(journal, summary)
         try:
             if film and results:
@@ -95,16 +94,16 @@ class Page:
             print(f"No page: {type(error).__name__}: {error}", file=sys.stderr)
 
     def keep_up(self, journal: Journal, summary: Sequence[Row] = ()) -> None:
-        """:meth:`write` in a twentieth of the time at most: of hundreds of trials it takes longer and longer,
-        and trials may take seconds."""
+        """:meth:`write`, but for at most a twentieth of the time: with hundreds of trials it takes ever longer, and trials may
+        take seconds."""
         if (began := time.monotonic()) >= self._rest:
             self.write(journal, summary)
             ended = time.monotonic()
             self._rest = ended + _REST * (ended - began)
 
     def more(self, journal: Journal, experiment: Experiment) -> list[Path]:
-        """Writes the pages of other plugins, which are components of kind ``sweep_page``; their paths.
-        One that fails is named, and the others are written."""
+        """Write the pages of other plugins, which are components of kind ``sweep_page``; returns their paths. If one fails, it is
+        named, and the others are written."""
         registry, found = experiment.registry, []
         for name in registry.names("sweep_page"):
             try:
@@ -201,7 +200,7 @@ class Page:
 
 
 def learning_section(variants: Sequence[Variant]) -> list[Section]:
-    """The curves of the variants over each other; none if there are none."""
+    """The curves of all variants in common charts; None without curves."""
     curves = "".join(
         f'<h3>{heading}</h3><div class="charts">{charts}</div>'
         for heading, charts in learning_curves(variants).items()

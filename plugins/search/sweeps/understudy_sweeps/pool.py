@@ -1,8 +1,7 @@
-"""Trials side by side, each in a process of its own that may die, hang, or take too long.
+"""Trials side by side, each in a process of its own, which may die, hang, or take too long.
 
-Whatever the processes are (children of this one, or actors of a cluster), they speak JSON: they are
-sent a :func:`job` and answers to reports, and send messages ``{"began": …}``, ``{"report": …}`` and
-``{"error": …}``.
+The processes may be children of this one or actors of a cluster. They exchange JSON: they receive a :func:`job` and
+answers to reports, and send messages ``{"began": …}``, ``{"report": …}`` and ``{"error": …}``.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ PAUSE = 0.5
 
 
 class Lost(Exception):
-    """The process ended without a result; says why."""
+    """The process ended without a result, for this reason."""
 
 
 class Host(ABC):
@@ -41,11 +40,11 @@ class Host(ABC):
 
     @abstractmethod
     def answer(self, stop: bool) -> None:
-        """After a report: go on, or end with what was learned by then."""
+        """Answer a report: continue, or end with what was learned so far."""
 
     @abstractmethod
     def save(self) -> None:
-        """Tell it to save what it has learned and to end; returns at once."""
+        """Tell it to save and to end; returns at once."""
 
     @abstractmethod
     def kill(self) -> None:
@@ -58,7 +57,7 @@ Await = Callable[[Sequence[Host], float], Sequence[Host]]
 
 @dataclass(frozen=True)
 class Limits:
-    """What a trial may take."""
+    """The limits of a trial."""
 
     retries: int  #: times that a trial goes on from its checkpoint after its process was lost
     seconds: float | None  #: s, that one try takes at most; None has no limit
@@ -119,7 +118,7 @@ class Pool(Executor):
         running.paused = False
 
     def close(self) -> None:
-        """All save at once, and together have the grace."""
+        """Tell all to save at the same time, within one period of grace."""
         left = [running.host for running in self._running.values()]
         for running in self._running.values():
             running.host.save()
@@ -138,7 +137,7 @@ class Pool(Executor):
             self._leave()
 
     def _listen(self, running: _Running) -> Report | None:
-        """What the host says, if it concerns the sweep."""
+        """The host's message, if it concerns the sweep."""
         try:
             text = running.host.receive()
         except Lost as why:
@@ -173,7 +172,7 @@ class Pool(Executor):
         return None
 
     def _lost(self, running: _Running, why: str) -> Report | None:
-        """Another try, or the report that there is none left."""
+        """Try again, or report that no try is left."""
         running.host.kill()
         if running.late:
             why = f"it took longer than {self._limits.seconds:g} s"

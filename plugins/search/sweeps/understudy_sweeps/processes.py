@@ -1,4 +1,4 @@
-"""Trials in processes of this machine: what one does, crashes and memory included, stays its own.
+"""Trials in processes of this machine, so that crashes and memory of one do not affect the others.
 
 The processes are forks of a server that has imported torch once, so they start at once.
 """
@@ -42,7 +42,7 @@ _OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}
 
 
 class Processes:
-    """Each trial in a process of its own, `workers` at once: a :class:`Pool` of children."""
+    """Runs each trial in a child process, `workers` at once."""
 
     @dataclass(frozen=True)
     class Options:

@@ -15,8 +15,8 @@ from understudy_sweeps.results import Result, best_of, told
 class Progress:
     """Trials done, running and failed, a search's best so far, and the time left.
 
-    The time left is from the speed of this process: the share of the outer loop that was done since
-    it began. Where trials are not `alike`, that tells nothing of those to come.
+    The time left follows from the share of the outer loop that this process has done since it began. If trials are not
+    `alike`, that would not predict those to come.
     """
 
     def __init__(self, plan: Collection[str], alike: bool = True) -> None:
@@ -54,7 +54,7 @@ class Progress:
 def describe(
     journal: Journal, plan: Collection[str], running: int, summary: Sequence[Row] = ()
 ) -> str:
-    """Where the sweep stands, in words; `summary` are the outer loop's rows.
+    """How far the sweep is, in words; `summary` are the outer loop's rows.
 
     Trials that are not of the `plan`, which earlier calls of the sweep asked for, do not count."""
     finished = {k: report for k, report in journal.finished.items() if not plan or k in plan}

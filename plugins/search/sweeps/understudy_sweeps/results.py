@@ -1,4 +1,4 @@
-"""What the trials of a sweep gave, read from its journal and their run folders."""
+"""The results of a sweep's trials, read from its journal and their run folders."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNSOUND = "unsound"
 
 @dataclass(frozen=True)
 class Result:
-    """A trial that was asked for, and what is known of it."""
+    """A trial that was asked for, and its result, if there is one."""
 
     trial: Trial
     report: Report | None  #: the final one
@@ -43,7 +43,7 @@ class Result:
 
     @property
     def state(self) -> str:
-        """Where it stands, in a word; or why it failed."""
+        """How far it is, in a word; or why it failed."""
         if self.report is None:
             return "unfinished"
         return self.report.outcome or self.report.status
@@ -61,7 +61,7 @@ class Result:
 
     @property
     def worth(self) -> float | None:
-        """What a search ranks it by; None where it failed."""
+        """The value by which a search ranks it; None if it failed."""
         objective = self.figure(OBJECTIVE)
         return objective if objective is None else number(self.said.get("y", objective))
 
@@ -78,7 +78,7 @@ class Result:
 
 
 class Results:
-    """Reads what the journal names; what is finished once only."""
+    """Reads what the journal names; a finished trial is read only once."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -108,7 +108,7 @@ class Variant:
     results: Sequence[Result]
 
     def figures(self, name: str) -> dict[int, float]:
-        """By seed."""
+        """The values by seed."""
         found = {r.trial.seed or 0: r.figure(name) for r in self.results}
         return {seed: value for seed, value in found.items() if value is not None}
 

@@ -1,4 +1,4 @@
-"""Pictures of a search: what its trials found against what they cost, and where they were."""
+"""Pictures of a search: its trials' values against their cost, and their parameters."""
 
 from __future__ import annotations
 

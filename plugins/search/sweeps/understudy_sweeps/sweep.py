@@ -1,7 +1,7 @@
 """Outer loops over whole runs: ``understudy sweep ablation=…``, ``search=…`` or ``outer_loop=…``.
 
-Starting the same sweep again tells the outer loop what the journal knows, goes on with what was
-asked for and not finished, and asks for the rest.
+Starting the same sweep again tells the outer loop what the journal knows, continues what was asked for and not
+finished, and asks for the rest.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class Table:
 
 
 def in_markdown(cell: str) -> str:
-    """On one line, and nothing in it means anything: names and errors may come from strangers."""
+    """`text` on one line, without any markup: names and errors may come from strangers."""
     for sign in "\\`*_[]<>|#":
         cell = cell.replace(sign, f"\\{sign}")
     return " ".join(cell.split())

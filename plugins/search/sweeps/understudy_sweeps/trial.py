@@ -1,4 +1,4 @@
-"""One trial: a run folder in the sweep's, begun or gone on with, wherever an executor wants it."""
+"""One trial: a run folder in the sweep's, begun or continued, in the process that an executor chooses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ from understudy_reinforcement.job import Reinforcement
 from understudy_report.progress import Lines
 from understudy_report.values import mapping
 from understudy_sweeps.loops import Report, Trial, Work
-from understudy_training.workflow import leave_damaged_rows_out, unread
+from understudy_training.unread import noting, unread
+from understudy_training.workflow import leave_damaged_rows_out
 
 __all__ = ["folder_of", "run_trial", "written"]
 
@@ -44,7 +45,7 @@ PATIENCE = 60.0
 
 
 def folder_of(key: str, sweep: str | Path) -> Path:
-    """The run folder of the trial `key`, which stays inside the sweep's whatever the key is."""
+    """The run folder of the trial `key`, which is inside the sweep's whatever the key is."""
     name = quote(key, safe="")
     return Path(sweep) / (name if name.strip(".") else name.replace(".", "%2E"))
 
@@ -69,7 +70,7 @@ def check_device(work: Work) -> None:
 
 
 def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None, None]:
-    """Carry out a trial in its own run folder, or go on with it; a failure becomes a report.
+    """Carry out a trial in its own run folder, or continue it; a failure becomes a report.
 
     Gives a report after every evaluation and in the end, and None after every other iteration.
     Reports that an earlier process may have made before it ended are made again. Sending it True
@@ -114,8 +115,7 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
 def _iterate(
     trial: Trial, training: Training, run: Run, last: float
 ) -> Generator[Report | None, bool | None, bool]:
-    """Until the training ends, or it is stopped, or has consumed `last` samples; whether it was
-    stopped."""
+    """Train until the end, a stop, or `last` samples; returns whether it was stopped."""
     name = f"evaluation/{training.experiment.root.evaluation.objective}"
 
     def report(row: Mapping[str, Any]) -> Report | None:
@@ -182,7 +182,7 @@ def _point(trial: Trial) -> list[str]:
 
 
 def written(value: Any) -> str:
-    """Plain data as the value of an override: every string is quoted, whatever is in it."""
+    """Plain data as the value of an override, with every string quoted."""
     if isinstance(value, Mapping):
         return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -210,7 +210,7 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
             refused.pop_all()
         return training
     overrides = overrides_of(trial, work)
-    experiment = load_experiment(overrides)
+    experiment = noting(load_experiment(overrides))
     training = Training(experiment, reporter).prepare()
     for note in unread(experiment, [*trial.overrides, *_point(trial)]):
         tell(f"{trial.key}: {note}")
@@ -244,7 +244,7 @@ def _check_difficulty(training: Training) -> None:
 
 
 def _await(path: Path) -> None:
-    """Until nobody trains in the folder `path`, which is made.
+    """Make the folder `path`, and wait until no other process trains in it.
 
     Raises
     ------

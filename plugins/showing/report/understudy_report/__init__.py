@@ -1,4 +1,4 @@
-"""What a run shows of itself: a report page, the motion as video, and metrics for TensorBoard."""
+"""A run's report page, its motion as a video, and its metrics for TensorBoard."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("motion",)

@@ -1,4 +1,4 @@
-"""What each reward term gave of late, and which terminations ended episodes, in a line or two."""
+"""The recent values of each reward term, and which terminations ended episodes, in a line or two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a training went: its metrics against samples, with marks where something changed."""
+"""Learning curves: metrics against samples, with marks where something changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes the report of a run when it was judged."""
+"""Makes the report of a run once it is judged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FRAME_RATE = 30.0
 
 
 class ReportMaker(RunObserver):
-    """Leaves ``stick_figures.npz``, ``video.mp4`` where that can be drawn, and ``report.html``."""
+    """Writes ``stick_figures.npz``, ``video.mp4`` if it can be drawn, and ``report.html``."""
 
     def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
         for name in (FIGURES, VIDEO):  # of an earlier recording

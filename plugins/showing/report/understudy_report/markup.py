@@ -1,7 +1,7 @@
-"""Pieces of HTML for report sections, and what the page asks of a section's HTML.
+"""Pieces of HTML for report sections, and the rules for a section's HTML.
 
-Run folders are from strangers. So templates escape by default, and only what they made
-(:class:`~markupsafe.Markup`) stays as it is.
+Run folders may come from strangers, so templates escape by default, and only what they produced
+(:class:`~markupsafe.Markup`) is left unescaped.
 """
 
 from __future__ import annotations

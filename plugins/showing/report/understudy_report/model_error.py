@@ -1,4 +1,4 @@
-"""Where a learned model of the simulator goes wrong, if the learner has one and says so."""
+"""The errors of a learned model of the simulator, if the learner has one and reports them."""
 
 from __future__ import annotations
 

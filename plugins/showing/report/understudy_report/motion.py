@@ -1,4 +1,4 @@
-"""What was learned, to look at: the video or a stick figure player, and a filmstrip."""
+"""The learned motion: the video or a stick figure player, and a filmstrip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that needs nothing else, not even the network.
+"""The report of a run: one HTML file, self-contained and readable offline.
 
 Names, configurations and metrics may come from strangers, so templates escape all text that enters
 the page, and the page's security policy lets no script run but the stick figure player.

@@ -125,12 +125,10 @@ def support(
     forces = asked.forces.copy()
     frames, rows = np.nonzero(bearing)
     arms = points[frames, rows] - asked.origin[frames]
-    turns, moves = np.split(
-        asked.axes[frames, root], 2, axis=2
-    )  # (C, 6, 3), of C points in contact
-    pushes = (
-        moves + np.cross(turns, arms[:, None])
-    ) @ edges.T  # (C, 6, edges), a weight along each
+    # (C, 6, 3), of C points in contact
+    turns, moves = np.split(asked.axes[frames, root], 2, axis=2)
+    # (C, 6, edges), a weight along each
+    pushes = (moves + np.cross(turns, arms[:, None])) @ edges.T
     shares = np.zeros((len(frames), len(edges)))
     ends = np.searchsorted(frames, np.arange(len(forces) + 1))
     for frame in np.unique(frames):

@@ -55,9 +55,8 @@ class Page:
             )
         self._scene = scene
         self._character = Character(scene.character.name, scene.shown().compile())
-        self._lock = (
-            threading.Lock()
-        )  # of what the browser's events change: the world is the loop's
+        # of what the browser's events change: the world is the loop's
+        self._lock = threading.Lock()
         self._pushes: list[tuple[float, float, float]] = []
         self._sent: tuple[float, float] | None = None
         self._controls = Controls()

@@ -40,9 +40,8 @@ class ScenePage:
         self._model = world.scene.shown().compile()
         self._data = mujoco.MjData(self._model)
         self._controls = Controls()
-        self._lock = (
-            threading.Lock()
-        )  # of what the browser's events change: the world is the loop's
+        # of what the browser's events change: the world is the loop's
+        self._lock = threading.Lock()
         self._sent: tuple[float, float] | None = None
         self._dragged = False
         self._nudges: list[tuple[float, float]] = []

@@ -81,9 +81,8 @@ class _Problem:
         self._owners = owners
         self._mass = self._carried.sum(1)[owners, None]
         self._stiffness = self._turned.sum(1)[owners, None]
-        below = hangs_on[owners][
-            :, owners
-        ]  # (D, D): the row's joint hangs on the column's, or is it
+        # (D, D): the row's joint hangs on the column's, or is it
+        below = hangs_on[owners][:, owners]
         self._below = below.to(torch.float64)
         self._strictly_below = (below & ~below.T).to(torch.float64)
 

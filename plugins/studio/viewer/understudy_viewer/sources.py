@@ -79,7 +79,7 @@ def _run(path: Path, registry: Registry, chosen: Character | None) -> Scene:
         try:
             component = registry.find("overlay", name)
             with component.guarded("is left out"):
-                overlay = component.made()
+                overlay = component.call()
                 marks.extend(overlay.marks(runs.open_run(path).config, tracks, registry))
         except UnderstudyError as error:  # the motion can be seen all the same
             notes.append(str(error))

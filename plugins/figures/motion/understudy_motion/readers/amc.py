@@ -254,9 +254,8 @@ class _FigureParser:
         elif key == "direction":
             bone.direction = self._numbers(words, 3)
             size = float(np.linalg.norm(bone.direction))
-            if (
-                abs(size - 1.0) > UNIT and size > 0.0
-            ):  # not rounding: its length alone says how long it is
+            # not rounding: its length alone says how long it is
+            if abs(size - 1.0) > UNIT and size > 0.0:
                 bone.direction = tuple(part / size for part in bone.direction)
         elif key == "length":
             bone.length = self._numbers(words, 1)[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from understudy_pose_vae.limits import servo_axes
+from understudy_characters.target_limits import servo_axes
 
 MODEL = """
 <mujoco>

@@ -19,8 +19,8 @@ Range = tuple[float, float]
 
 
 def servo_axes(model: mujoco.MjModel) -> list[tuple[str, int]]:
-    """Of each servo the joint that it drives, by the name of its body, and about which of its axes: the
-    hinge's place among the body's, or the axis of a ball joint."""
+    """For each servo: the joint that it drives, by the name of its body, and its axis: the number of the hinge
+    among the body's, or the axis of a ball joint."""
     found = []
     for servo in range(model.nu):
         joint = int(model.actuator_trnid[servo, 0])
@@ -33,7 +33,7 @@ def servo_axes(model: mujoco.MjModel) -> list[tuple[str, int]]:
 
 
 def check_axes(option: str, given: int, joint: str, model: mujoco.MjModel) -> None:
-    """Raise ConfigError if an `option` of a joint gives more than its servos have axes."""
+    """Raise ConfigError if an `option` gives a joint more values than its servos have axes."""
     count = sum(name == joint for name, _ in servo_axes(model))
     if given > count:
         raise ConfigError(
@@ -48,14 +48,14 @@ def target_limits(
     otherwise: float = math.inf,
     option: str = "actuation.ranges",
 ) -> tuple[Tensor, Tensor]:
-    """Least and most target of each servo, each (U,) rad: by joint (least, most) of each axis, and
-    `otherwise` either way; nowhere beyond the control range that the model gives a servo.
+    """The least and the greatest target of each servo, each (U,) rad: by joint, `ranges` has (least, most) for each
+    axis; without it, they are `otherwise` either way. They never exceed a servo's control range in the model.
 
     Raises
     ------
     ConfigError
-        if `ranges`, of the `option` of an actuation, names no joint of the character, has more
-        ranges than a joint has servos, or the first of a range is the higher one.
+        `ranges`, which is the `option` of an actuation, names no joint of the character, has more
+        ranges than a joint has servos, or a range whose first number is the higher one.
     """
     joints, model = scene.layout.joint_names, scene.model
     for name, axes in ranges.items():
