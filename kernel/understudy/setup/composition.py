@@ -286,8 +286,7 @@ def split_overrides(
     section whatever else chooses it, since Hydra has no null for a group of options; and the groups
     for which an override chooses a file (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
-    kept: list[str] = []
-    emptied: dict[str, str] = {}
+    kept, emptied = list[str](), dict[str, str]()
     for override in overrides:
         key, _, value = override.partition("=")
         if value == "null" and key in groups.union(plugins.registry.sections):
