@@ -160,7 +160,7 @@ def compose(
 
 def _laid(old: Any, new: Any) -> Any:
     """`new` laid over `old`: mappings are merged, and all else is replaced."""
-    if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
+    if not (isinstance(old, dict) and isinstance(new, dict)):
         return new
     return {**old, **{key: _laid(old.get(key), item) for key, item in new.items()}}
 
