@@ -26,6 +26,8 @@ SIDE_BY_SIDE = 2
 LONG = ("faults",)
 #: The plugins' folders are dealt to so many groups. Each group more makes the miniatures that others build on once more.
 PLUGIN_GROUPS = 2
+#: Kinds of parts for libraries that a test does without: they are imported where they are first needed.
+WITHOUT = ("executor", "outer_loop", "sweep_page")
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
@@ -85,6 +87,8 @@ def prepare() -> None:
     from understudy.setup.plugins import installed
 
     for component in installed().registry.components.values():
+        if component.kind in WITHOUT:
+            continue
         with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
             _ = component.factory
     gc.freeze()
