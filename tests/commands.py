@@ -7,12 +7,13 @@ import io
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from multiprocessing import forkserver
+from multiprocessing import connection, forkserver
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,25 @@ def serve() -> Any:
         os.environ.clear()
         os.environ.update(before)
     return server
+
+
+def serve_as_this() -> None:
+    """Start the server as a fork of this process, which has imported what it needs."""
+    addresses: Any = connection
+    with socket.socket(socket.AF_UNIX) as listener:
+        address = addresses.arbitrary_address("AF_UNIX")
+        listener.bind(address)
+        listener.listen()
+        alive, ours = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os.close(ours)
+            os.environ.update(child_environment())
+            leave_after(lambda: forkserver.main(listener.fileno(), alive, []))  # type: ignore[attr-defined]
+    os.close(alive)
+    server: Any = forkserver._forkserver  # type: ignore[attr-defined]
+    server._forkserver_address, server._forkserver_alive_fd = address, ours
+    server._forkserver_pid = pid
 
 
 def start(target: Callable[..., None], *arguments: Any) -> Any:

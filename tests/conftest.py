@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,11 +21,6 @@ from understudy.setup.plugins import Plugins
 from understudy_characters.character import Character
 from understudy_humanoid.character import build_spec
 from understudy_mujoco import apart
-
-#: Real clips, for the tests that want some; skipped with a reason where there are none.
-_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-if _DATA.is_dir():
-    os.environ.setdefault("UNDERSTUDY_DATA", str(_DATA))
 
 torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 

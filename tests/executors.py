@@ -167,10 +167,10 @@ def check_gives_up(build: Callable[[Work], Executor], folder: Path) -> None:
     assert last.status.startswith("failed 2 times: its process ")
 
 
-def check_time_limit(build: Callable[[Work], Executor], folder: Path) -> None:
-    """Of four seconds and a single retry: each try saves, the second goes on from the first."""
+def check_time_limit(build: Callable[[Work], Executor], folder: Path, seconds: int = 4) -> None:
+    """Of so many seconds and a single retry: each try saves, the second goes on from the first."""
     (last,) = carry_out(build(work(folder, *ENDLESS)), TRIALS[:1])
-    assert last.status == "failed 2 times: it took longer than 4 s"
+    assert last.status == f"failed 2 times: it took longer than {seconds} s"
     done = iterations(folder, "a")
     assert done == list(range(1, len(done) + 1))
     saved = [int(p.name) for p in checkpoint.newest(folder_of("a", folder) / "checkpoints")]

@@ -25,7 +25,7 @@ _MESSAGE = 2**20  #: bytes
 
 
 @functools.cache
-def _server() -> socket.socket:
+def server() -> socket.socket:
     """The socket of the server, which ends when this process does. It has no environment but its start's."""
     ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     subprocess.Popen(
@@ -58,7 +58,7 @@ def run(
             with told:
                 asked = json.dumps([module, arguments, dict(env), os.getcwd()]).encode()
                 files = [given.fileno(), out.fileno(), err.fileno(), told.fileno()]
-                socket.send_fds(_server(), [asked], files)
+                socket.send_fds(server(), [asked], files)
             pid = int.from_bytes(heard.recv(8), "little")
             heard.settimeout(timeout)
             try:

@@ -1,7 +1,7 @@
 """All tests of ``make test``, in as many processes as there are groups at hand, two at a time.
 
 Not pytest-xdist: its workers take signals that the tests of stop signals send. A group is a process of its
-own, so nothing is shared but the machine; what it prints is shown when it ends::
+own, a fork of this one, which has imported what all of them need; what it prints is shown when it ends::
 
     python tests/side_by_side.py [options of pytest]
 """
@@ -10,21 +10,24 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import os
 import resource
-import subprocess
+import runpy
 import sys
-import threading
+import tempfile
 import time
 from pathlib import Path
+from typing import IO
 
 TESTS = Path(__file__).resolve().parent
 SIDE_BY_SIDE = 2
 #: What takes long by itself.
 LONG = ("faults",)
-#: The plugins' folders are dealt to so many groups. Each group more takes some 11 s: it imports everything, and so do its
-#: servers, whose forks read strangers' files and carry out commands; and it makes the miniatures that others build on.
+#: The plugins' folders are dealt to so many groups. Each group more makes the miniatures that others build on once more.
 PLUGIN_GROUPS = 2
+#: Kinds of parts for libraries that a test does without: they are imported where they are first needed.
+WITHOUT = ("executor", "outer_loop", "sweep_page")
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
@@ -59,43 +62,83 @@ def adopt_orphans() -> None:
 
 
 def processor_seconds() -> float:
-    """Of all that was started here and has ended; user's and system's. Servers end soon after their tests."""
+    """Of this process, and of all that was started here and has ended; user's and system's. Servers end soon after
+    their tests."""
     with contextlib.suppress(ChildProcessError):
         until = time.monotonic() + 10.0
         while time.monotonic() < until:
             if os.waitpid(-1, os.WNOHANG) == (0, 0):
                 time.sleep(0.1)
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    used = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def prepare() -> None:
+    """Import what groups need, and start the server whose forks read strangers' files, once for all of them."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # a core for each process
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes read the same files
+    sys.dont_write_bytecode = False
+    import readers
+
+    readers.server()
+    import hypothesis  # noqa: F401
+    import warm  # noqa: F401
+
+    from understudy.setup.plugins import installed
+
+    for component in installed().registry.components.values():
+        if component.kind in WITHOUT:
+            continue
+        with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
+            _ = component.factory
+    gc.freeze()
+
+
+def begin(group: list[Path], options: list[str], said: IO[str]) -> int:
+    """The process of a group, as of ``python -m pytest``, which prints into `said`."""
+    pid = os.fork()
+    if pid:
+        return pid
+    import commands
+
+    with open(os.devnull) as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(said.fileno(), 1)
+    os.dup2(said.fileno(), 2)
+    commands.serve_as_this()
+    os.chdir(TESTS.parent)
+    sys.path[0] = str(TESTS.parent)
+    # what has been imported already cannot be looked through for asserts, and has none
+    quiet = [
+        "-W",
+        "ignore:Module already imported so cannot be rewritten:pytest.PytestAssertRewriteWarning",
+    ]
+    sys.argv = ["pytest", *quiet, *options, *map(str, group)]
+    runpy.run_module("pytest", run_name="__main__", alter_sys=True)
+    sys.exit("pytest came to no end")
 
 
 def main(options: list[str]) -> int:
     adopt_orphans()
-    waiting, failed, lock = groups(), [], threading.Lock()
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # a core for each process
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes read the same files
+    prepare()
+    import readers
 
-    def work() -> None:
-        while True:
-            with lock:
-                if not waiting:
-                    return
-                group = waiting.pop(0)
-            command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
-            done = subprocess.run(
-                command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-            with lock:
-                print(done.stdout, flush=True)
-                if done.returncode not in (0, 5):  # 5: no test of it was asked for
-                    failed.append(group)
-
-    workers = [threading.Thread(target=work) for _ in range(SIDE_BY_SIDE)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
+    waiting, failed = groups(), []
+    running: dict[int, tuple[list[Path], IO[str]]] = {}
+    while waiting or running:
+        while waiting and len(running) < SIDE_BY_SIDE:
+            group, said = waiting.pop(0), tempfile.TemporaryFile("w+")  # noqa: SIM115 - read when it ends
+            running[begin(group, options, said)] = group, said
+        pid, status = os.wait()
+        if pid not in running:  # a server's
+            continue
+        group, said = running.pop(pid)
+        with said:
+            said.seek(0)
+            print(said.read(), flush=True)
+        if os.waitstatus_to_exitcode(status) not in (0, 5):  # 5: no test of it was asked for
+            failed.append(group)
+    readers.server().close()
     print(f"processor time: {processor_seconds():.0f} s")
     for group in failed:
         print("failed:", *(path.relative_to(TESTS.parent) for path in group))

@@ -1,4 +1,5 @@
-"""What the tests' fork server has imported: all that a command comes to need, so that its forks begin at once.
+"""What the tests' fork server has imported: all that a command comes to need, so that its forks begin at once. The
+processes of ``make test`` are forks of one that has, too.
 
 Nothing runs here that a fork could see: no thread, no random number, no file.
 """

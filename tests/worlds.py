@@ -25,6 +25,11 @@ from understudy.task import Actuation, Context, Encoder, InitialStates, box
 from understudy.testing import fake
 from understudy_mujoco.scene import MujocoScene
 
+#: Real clips, for the tests that want some; skipped with a reason where there are none.
+_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+if _DATA.is_dir():
+    os.environ.setdefault("UNDERSTUDY_DATA", str(_DATA))
+
 #: A tiny learner and policy; with them an iteration takes milliseconds.
 SMALL = (
     "+policy={name: mlp, hidden: [16]}",

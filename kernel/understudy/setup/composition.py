@@ -285,8 +285,7 @@ def split_overrides(
     section (``policy=null``), for which Hydra has no word; and, of the first, the groups for which
     a file is chosen (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
-    kept: list[str] = []
-    emptied: dict[str, str] = {}
+    kept, emptied = list[str](), dict[str, str]()
     for override in overrides:
         key, _, value = override.partition("=")
         if value == "null" and key in groups.union(plugins.registry.sections):

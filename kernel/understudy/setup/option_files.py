@@ -162,7 +162,7 @@ def compose(
 
 def _laid(old: Any, new: Any) -> Any:
     """`new` over `old`: mappings are merged, anything else is replaced."""
-    if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
+    if not (isinstance(old, dict) and isinstance(new, dict)):
         return new
     return {**old, **{key: _laid(old.get(key), item) for key, item in new.items()}}
 

@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
+from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
 import pluggy
@@ -30,6 +31,7 @@ __all__ = ["Plugins", "installed", "kernel_conf"]
 GROUP = "understudy"
 hookspec = pluggy.HookspecMarker(GROUP)
 hookimpl = pluggy.HookimplMarker(GROUP)
+_HOOKS = (FunctionType, MethodType, staticmethod, classmethod)  #: what may be a hook
 
 
 class Hooks:
@@ -87,10 +89,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         first = seen.setdefault(entry.name, entry)
         if first.value != entry.value:
             other, by = of(first.dist)[0] or "another distribution", distribution or entry.value
-            error = PluginError(
-                f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or "
-                "rename its plugin."
-            )
+            why = f"{other} provides a plugin named '{entry.name}' already"
+            error = PluginError(f"{why}. Uninstall {by}, or rename its plugin.")
             _isolate(result, LoadedPlugin(f"{entry.name} of {by}", distribution, version), error)
         elif first is entry:  # else the same distribution, seen twice on the path
             plugin = LoadedPlugin(entry.name, distribution, version)
@@ -148,24 +148,26 @@ def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> No
 
 def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> None:
     """Register what the plugin's module, which `find` imports, declares."""
-    manager = pluggy.PluginManager(GROUP)  # of its own, so that no other hook is called again
-    manager.add_hookspecs(Hooks)
+    manager = pluggy.PluginManager(GROUP)  # one each, so that no other's hook is called again
     try:
         module = find()
         hooked = [item for item in dir(module) if item.startswith("understudy_")]
         for item in hooked:
             if item not in vars(Hooks) and callable(getattr(module, item)):
-                raise PluginError(
-                    f"it defines '{item}', which is no hook. The hook is understudy_register."
-                )
+                why = f"it defines '{item}', which is no hook"
+                raise PluginError(f"{why}. The hook is understudy_register.")
             if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):
                 raise PluginError(f"its '{item}' is no function marked with @understudy.hookimpl.")
-        manager.register(module)
-        manager.check_pending()
         register = Registrar(plugins.registry, plugin.name, plugin.distribution, plugin.version)
         if not hooked or "REQUIRES" in dir(module):  # else its constants may mean something else
             register.tables(module)
-        manager.hook.understudy_register(register=register)
+        there = vars(module) if isinstance(module, ModuleType) else {}
+        more = {*dir(module)} - there.keys() or any(isinstance(v, _HOOKS) for v in there.values())
+        if hooked or more:  # else it is data, in which pluggy would look for hooks, and take longer
+            manager.add_hookspecs(Hooks)
+            manager.register(module)
+            manager.check_pending()
+            manager.hook.understudy_register(register=register)
         plugins.loaded.append(replace(plugin, config_directory=_conf(module)))
     except BaseException as error:  # a stranger's code may raise anything
         if is_stop(error):
@@ -190,20 +192,21 @@ def kernel_conf() -> Path:
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
     """By plugin: the error for a config option that cannot be read, or that the kernel or an
     earlier plugin provides already."""
-    owner: dict[Path, str] = {}
-    faults: dict[str, BaseException] = {}
+    owner, faults = dict[str, str](), dict[str, BaseException]()
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
     for name, directory in plugins.folders():
-        for file in sorted(directory.rglob("*.yaml")):
-            option = file.relative_to(directory)
+        for option in sorted(
+            f"{folder.removeprefix(str(directory))}/{file}"[1:-5]
+            for folder, folders, files in os.walk(directory)
+            for file in (*folders, *files)
+            if file.endswith(".yaml")
+        ):
             if owner.setdefault(option, name) != name:
                 other = f"plugin '{owner[option]}'" if owner[option] else "understudy itself"
-                faults[name] = PluginError(
-                    f"it provides the config option '{option.with_suffix('')}', which {other} "
-                    "provides already. Rename one of them."
-                )
-            elif name not in bundled and (why := _unreadable(file)):
-                faults[name] = PluginError(f"its config option '{option.with_suffix('')}' {why}.")
+                why = f"it provides the config option '{option}', which {other} provides already"
+                faults[name] = PluginError(f"{why}. Rename one of them.")
+            elif name not in bundled and (why := _unreadable(directory / f"{option}.yaml")):
+                faults[name] = PluginError(f"its config option '{option}' {why}.")
     return faults
 
 

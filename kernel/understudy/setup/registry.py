@@ -305,9 +305,8 @@ class Registrar:
                 for name, row in getattr(module, title, {}).items():
                     added[title](name, row)
             except (AttributeError, TypeError, ValueError) as error:
-                raise PluginError(
-                    f"its table {title} is not as tables are. Write {title} = {form}."
-                ) from error
+                why = f"its table {title} is not as tables are"
+                raise PluginError(f"{why}. Write {title} = {form}.") from error
 
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts are in the plugin's ``conf/task/<name>.yaml``."""

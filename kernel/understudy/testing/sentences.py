@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import io
 import textwrap
@@ -14,6 +15,7 @@ from understudy.options import schema_of
 __all__ = ["sentences"]
 
 
+@functools.cache
 def sentences(factory: Any) -> dict[str, str]:
     """By option of `factory`: its sentence, the comments ``#:`` above it and behind it in the source.
 

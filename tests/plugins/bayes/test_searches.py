@@ -92,7 +92,7 @@ def test_a_model_waits_for_the_first_report() -> None:
 def test_a_model_finds_what_chance_does_not(kind: Any) -> None:
     found = [
         max(row["best"] or -9 for row in loop.summary())
-        for loop in (make(kind, trials=16), make(RandomSearch, trials=16))
+        for loop in (make(kind, trials=13), make(RandomSearch, trials=13))
         if carry_on(loop, valley)
     ]
     assert found[0] > -0.02

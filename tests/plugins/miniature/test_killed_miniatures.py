@@ -17,7 +17,7 @@ from understudy_skills import bank
 
 #: Budgets that leave some iterations before and after the kill at the third.
 BUDGET = {"sleeve_bank": ("job.count=300", "job.decisions=8"), "poses": ("budget.samples=4096",)}
-USUAL = ("num_worlds=16", "learner.rollout_steps=8", "budget.samples=1024")
+USUAL = ("num_worlds=16", "learner.rollout_steps=8", "budget.samples=768")
 
 
 def kill_once(process: Any, there: Path) -> None:

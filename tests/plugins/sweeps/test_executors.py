@@ -68,7 +68,7 @@ def test_gives_up(tmp_path: Path) -> None:
 
 
 def test_time_limit(tmp_path: Path) -> None:
-    executors.check_time_limit(built("processes", retries=1, seconds=4), tmp_path)
+    executors.check_time_limit(built("processes", retries=1, seconds=2), tmp_path, 2)
 
 
 def test_a_process_that_hangs(tmp_path: Path) -> None:

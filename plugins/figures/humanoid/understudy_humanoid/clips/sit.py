@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -153,36 +153,45 @@ class _SittingDown:
 
     def motion(self, hands: Mapping[figure.Side, figure.Array]) -> tuple[figure.Array, figure.Pose]:
         """The root's path and the pose, of arms that end at these coordinates (4,)."""
-        upper = dict(self.trunk)
-        for side, final in hands.items():
+        still = len(self.part) - self.contact
+        root = np.pad(self.lowered, [(0, still), (0, 0)], mode="edge")
+        return root, self.on_feet(root, {**self.trunk, **self.arms(hands)})
+
+    def arms(self, hands: Mapping[figure.Side, figure.Array]) -> figure.Pose:
+        pose: figure.Pose = {}
+        for side in figure.SIDES:
             hanging, ahead = arm_keys(side, [(0.0, *standing.ARM), (0.0, *self.reach)])[:, 1:]
             reached = hanging + (ahead - hanging) * self.reaching
-            upper |= arm(side, reached + (final - ahead) * self.resting)
+            pose |= arm(side, reached + (hands.get(side, ahead) - ahead) * self.resting)
+        return pose
 
-        def on_feet(root: figure.Array, upper: figure.Pose) -> figure.Pose:
-            pose = dict(upper)
-            for side, (ankle, foot) in self.feet.items():
-                pose |= leg(side, leg_to(side, root, pose["root"], ankle, foot))
-            return pose
+    def on_feet(self, root: figure.Array, upper: figure.Pose) -> figure.Pose:
+        pose = dict(upper)
+        for side, (ankle, foot) in self.feet.items():
+            pose |= leg(side, leg_to(side, root, pose["root"], ankle, foot))
+        return pose
 
-        def lowered(hips: float, rows: slice) -> tuple[figure.Array, figure.Pose]:
+    @cached_property
+    def lowered(self) -> figure.Array:
+        """(contact, 3) m: the root's path until the seat bears. It is the same wherever the hands end up: they go
+        there later."""
+        upper = {**self.trunk, **self.arms({})}
+
+        def with_hips(hips: float, rows: slice) -> tuple[figure.Array, figure.Pose]:
             """With the hips `hips` m high at seat contact."""
             down = self.down[rows]
             height = standing.HEIGHT + (hips - standing.HEIGHT) * down
             goal = np.stack([_REARMOST * down, np.zeros_like(down), height], axis=1)
             above = {joint: turned[rows] for joint, turned in upper.items()}
-            return carried(goal, lambda root: on_feet(root, above), axes=(0,))
+            return carried(goal, lambda root: self.on_feet(root, above), axes=(0,))
 
         touching = slice(self.contact - 1, self.contact)
         hips = root_scalar(
-            lambda hips: _clearance(*lowered(hips, touching), self.seat_height),
+            lambda hips: _clearance(*with_hips(hips, touching), self.seat_height),
             bracket=(self.seat_height, self.seat_height + 0.2),
             xtol=1e-5,
         ).root
-        root, _ = lowered(hips, slice(self.contact))
-        still = len(self.part) - self.contact
-        root = np.pad(root, [(0, still), (0, 0)], mode="edge")
-        return root, on_feet(root, upper)
+        return with_hips(hips, slice(self.contact))[0]
 
 
 def _hand_on_thigh(side: figure.Side, root: figure.Array, pose: figure.Pose) -> figure.Array:
