@@ -299,6 +299,30 @@ def test_the_arm_follows_and_goes_on_where_it_was(
 NOTHING = Things.of([], torch.zeros(0, 2, dtype=F64), torch.zeros(0, dtype=F64))
 
 
+def test_sticks_that_come_from_elsewhere_go_over_the_object_first(planner: Planner) -> None:
+    """Then they come straight down, and take longer; where they are at the object already, both make no difference but the time."""
+    grip, scene = load_grip(standard()), HandScene(HandScene.Options())
+    careful = Planner(grip, scene, over=0.03, slowly=1.6)
+    sphere = Shape("sphere", (0.01,))
+    alone = Things.of([], torch.zeros(0, 2), torch.zeros(0))
+    task = Task(sphere, (0.05, -0.05), (-0.05, 0.05))
+    lengths, sideways = [], []
+    for one in (planner, careful):
+        plan = one.plan(task, one.begin(), alone)
+        approach = plan.lower[plan.phase == 0, :3]
+        lengths.append(len(approach))
+        near = approach[(approach[:, 2] - approach[-1, 2]) < 0.029]
+        sideways.append(float((near - approach[-1])[:, :2].norm(dim=1).max()))
+        assert plan.clearance >= 0.0
+        assert plan.arm.diff(dim=0).abs().max() < STEP
+    assert lengths[1] >= 1.5 * lengths[0]
+    assert sideways[1] < 0.006 < sideways[0]
+    back = Task(sphere, task.goal, task.start)
+    there = [one.plan(back, one.plan(task, one.begin(), alone).end, alone) for one in (planner, careful)]  # fmt: skip
+    counts = [int((plan.phase == 0).sum()) for plan in there]
+    assert counts[1] == pytest.approx(1.6 * counts[0], abs=2)
+
+
 @pytest.mark.parametrize(
     ("task", "said"),
     [

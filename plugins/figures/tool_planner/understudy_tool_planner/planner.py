@@ -45,6 +45,8 @@ CLOSING, PRESSING, ASIDE = 0.15, 0.1, 0.1
 WAITING, LIFT, LIFTING = 0.1, 0.03, 0.3
 PHASES = ("approach", "close", "relocate", "release")
 _FRAMES = ("place", "turn", "angle")
+#: m: sticks that are nearer to where they open around an object do not go over it first.
+_NEAR = 0.03
 #: rad: how far a hinge of the arm may go in a frame.
 STEP = 0.15
 #: m: how deep what is carried may be in what it lies on.
@@ -107,14 +109,17 @@ class Plan:
     def approach(self, thing: Tensor) -> Plan:
         """Its approach alone, while an object rests at the pose `thing` (7,)."""
         count = int((self.phase == PHASES.index("approach")).sum())
-        parts = (self.lower[:count], self.angle[:count], self.arm[:count])
-        return Plan(*parts, thing.expand(count, 7), self.phase[:count], self.clearance)
+        return Plan(
+            self.lower[:count], self.angle[:count], self.arm[:count], thing.expand(count, 7), self.phase[:count],
+            self.clearance,
+        )  # fmt: skip
 
     def after(self, way: Plan) -> Plan:
         """This plan with `way` before it, from where that ends."""
-        names = ("lower", "angle", "arm", "object", "phase")
-        parts = (torch.cat([getattr(way, name), getattr(self, name)]) for name in names)
-        return Plan(*parts, min(way.clearance, self.clearance))
+        return Plan(
+            torch.cat([way.lower, self.lower]), torch.cat([way.angle, self.angle]), torch.cat([way.arm, self.arm]),
+            torch.cat([way.object, self.object]), torch.cat([way.phase, self.phase]), min(way.clearance, self.clearance),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -149,13 +154,23 @@ class Planner:
         was found for: tongs turn a little between two fingers.
     pressing
         s that the closed gripper rests before it lifts.
+    over
+        m: how high over an object a gripper that comes from elsewhere goes first; then it comes down. 0: straight to it.
+    slowly
+        how many times as long the gripper takes for its ways without an object as by the thesis' speed.
     """
 
     def __init__(
-        self, grip: Grip, scene: HandScene, at: Tensor | None = None, pressing: float = PRESSING
+        self,
+        grip: Grip,
+        scene: HandScene,
+        at: Tensor | None = None,
+        pressing: float = PRESSING,
+        over: float = 0.0,
+        slowly: float = 1.0,
     ) -> None:
         grip.need(scene)
-        self._pressing = pressing
+        self._pressing, self._over, self._slowly = pressing, over, slowly
         self._jaws, self._least = Jaws(scene.options.tool), float(grip.angles[0])
         hand = HandKinematics(scene)
         shapes = hand.shapes(torch.tensor(grip.poses[:1]))
@@ -335,9 +350,14 @@ class Planner:
             Way(self._jaws, begin, open_, everything),
             Way(self._jaws, taken, put, asked.others, carried),
         ]
+        if self._over and float((begin.place - open_.place).norm()) > _NEAR:
+            over = replace(open_, place=open_.place + open_.place.new_tensor([0, 0, self._over]))
+            down = Way(self._jaws, over, open_, everything)
+            ways = [replace(ways[0], end=over), ways[1], down]
         inner, value = trajectory.find(ways, 1)
         parts, clear = [], []
-        for k, (way, name) in enumerate(zip(ways, ("approach", "relocate"), strict=True)):
+        for k, way in enumerate(ways):
+            name = "approach" if way.carried is None else "relocate"
             frames, least = self._best(way, inner[k], value[k])
             if least < 0.0:  # again, from several starts
                 more, values = trajectory.find([way], _STARTS)
@@ -349,8 +369,8 @@ class Planner:
                 )
             parts.append(frames)
             clear.append(least)
-        approach = parts[0] if away is None else _joined(away, parts[0])
-        return approach, parts[1], clear
+        before = [] if away is None else [away]
+        return _joined(*before, parts[0], *parts[2:]), parts[1], clear
 
     def _clear(self, frames: Frames, things: Things) -> float:
         """m, the least in all frames."""
@@ -381,7 +401,8 @@ class Planner:
         """Frames of the cheapest start that is clear, and its clearance; if none is, those of the clearest."""
         length = float((way.end.place - way.start.place).square().sum().sqrt())
         turned = float(rotations.angle_between(way.start.turn, way.end.turn))
-        count = round(max(LEAST, length / SPEED, turned / TURNING) / DT)
+        slowly = self._slowly if way.carried is None else 1.0
+        count = round(slowly * max(LEAST, length / SPEED, turned / TURNING) / DT)
         shares = torch.linspace(0.0, 1.0, count + 1, dtype=torch.float64)
         best: tuple[Frames, float] | None = None
         for row in value.argsort().tolist():

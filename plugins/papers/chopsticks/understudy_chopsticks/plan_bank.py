@@ -106,16 +106,19 @@ class Bank:
         shift: tuple[float, float] = (0.0, 0.0),
         pressing: float = PRESSING,
         elsewhere: bool = False,
+        over: float = 0.0,
+        slowly: float = 1.0,
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
         take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`). `settled`, of a
         tool that is where it comes to rest in the hand; each held by a `shift` m further along, drawn evenly; the
-        closed tool rests for `pressing` s before it lifts; with `elsewhere` it goes away before each relocation but the first."""
+        closed tool rests for `pressing` s before it lifts; with `elsewhere` it goes away before each relocation but the first. `over` and `slowly`
+        as of :class:`~understudy_tool_planner.planner.Planner`."""
         if len(self.frames):
             return
         self._shift, made = shift, self._made
         at = made.lower[0].double().cpu() if settled or self.shifted else None
-        self._planner = Planner(made.grips[0], made.scene, at, pressing)
+        self._planner = Planner(made.grips[0], made.scene, at, pressing, over, slowly)
         self._relocations, self._noise, self._thrown = relocations, noise, thrown
         self._elsewhere = elsewhere
         longest = relocations * seconds + (relocations - 1) * RESTING

@@ -54,6 +54,10 @@ class Relocations(InitialStates):
         #: whether the tool goes to where another object might lie before it comes for each relocation but the first, as with
         #: several objects on the table (section 5.7.5): `longest` has to have room for it
         elsewhere: bool = False
+        #: m: how high over the object a tool that comes from elsewhere goes first, before it comes down to it; 0: straight to it
+        over: float = 0.0
+        #: how many times as long the tool takes to come to the object as by the thesis' 0.25 m/s (section 5.6.2)
+        slowly: float = 1.0
         #: how much more often plans are drawn that go badly: with exp(-harder r), r the mean reward of a decision that follows one
         #: (the release has 1); 0 draws evenly
         harder: float = 0.0
@@ -68,6 +72,8 @@ class Relocations(InitialStates):
                 raise ValueError(
                     f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
                 )
+            check_range(self, "over", least=0, most=0.2)
+            check_range(self, "slowly", least=1, most=10)
             if self.elsewhere and self.relocations == 1:
                 raise ValueError(
                     "elsewhere=true is not possible with relocations=1: it is between two. Set relocations=4, or leave elsewhere out."
@@ -110,6 +116,7 @@ class Relocations(InitialStates):
         self.bank.fill(
             options.plans, options.longest, options.relocations, options.noise, self._later,
             options.thrown, options.settled, options.shift, options.pressing, options.elsewhere,
+            options.over, options.slowly,
         )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
