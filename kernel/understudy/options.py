@@ -59,8 +59,7 @@ class Typed:
 def options_of(factory: Any) -> dict[str, Option]:
     """The options of a factory.
 
-    A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
-    keyword-only parameters.
+    A class's are the fields of its ``Options``; a function's (a term's) its keyword-only parameters.
     """
     if (schema := schema_of(factory)) is not None:
         hints = _hints(schema)
@@ -180,8 +179,7 @@ def each(value: Any, change: Callable[[Any], Any]) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The nested `value` as plain data, with numbers for what was typed as one, unless an option
-    took the text."""
+    """The nested `value` as plain data: numbers as such, unless an option took the text."""
     return each(value, lambda item: item.value if isinstance(item, Typed) else item)
 
 

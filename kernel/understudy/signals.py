@@ -15,8 +15,7 @@ __all__ = ["StopRequest", "is_stop"]
 
 @dataclass(eq=False)
 class StopRequest:
-    """Inside, stop signals are noted in `received`; `at_once` the first, else a second Ctrl-C,
-    interrupts.
+    """Inside, signals are noted in `received`; `at_once` the first, else a second Ctrl-C interrupts.
 
     They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next
     outer one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored

@@ -15,6 +15,7 @@ import re
 import signal
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -66,7 +67,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 # Of no file in particular, and none was found for temporary ones.
                 error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
-                raise
+                if (fault := plugins.installed().registry.fault_of(error)) is None:
+                    raise
+                error = fault
+            if os.environ.get("UNDERSTUDY_TRACEBACK"):
+                traceback.print_exc()
             with contextlib.suppress(OSError):  # a closed terminal; and no file is quoted whole
                 print(f"understudy: {shown(str(error)):.10000}", file=sys.stderr, flush=True)
             return error.exit_status
@@ -106,20 +111,15 @@ def _text(name: str) -> str:
     return (plugins.kernel_conf() / name).read_text(encoding="utf-8")
 
 
-def _instead(word: str) -> str:
-    """What to write here in place of Hydra's own option `word`; empty where it is none."""
-    lines = (line.partition(": ") for line in _text("hydra.txt").splitlines())
-    return next((advice for options, _, advice in lines if word in options.split()), "")
-
-
 def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
     """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
     for word, following in zip(words, [*words, ""][1:], strict=True):
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
             raise ConfigError(f"'{word}' is not taken here. See `understudy {command} --help`.")
-        if instead := _instead(word.partition("=")[0]):
-            raise ConfigError(f"{word} is Hydra's own. {instead}")
+        for options, _, instead in (o.partition(": ") for o in _text("hydra.txt").splitlines()):
+            if word.partition("=")[0] in options.split():
+                raise ConfigError(f"{word} is Hydra's own. {instead}")
         if word.startswith("-"):
             if not value and "=" not in following:
                 value = following
@@ -159,8 +159,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands, all of which are plugins'; only the one that is asked for is imported,
-    and there alone."""
+    """The commands, all of which are plugins'; only the one that is asked for is imported."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")

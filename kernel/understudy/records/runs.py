@@ -210,8 +210,7 @@ class Run:
 
 
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
-    """Make the run folder of a new training; a RunError if it holds a run already or cannot be
-    written."""
+    """Make the run folder of a new training; a RunError if it holds a run or cannot be written."""
     import torch
 
     root = experiment.root

@@ -32,8 +32,7 @@ from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment"]
 
-#: What this step's terminations made of the episode: a failure; a success; a failure term or one
-#: that only reports.
+#: What this step's terminations made of the episode; violated is a failure, or one only reported.
 _OUTCOMES = ("failed", "succeeded", "violated")
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any
 #: field before this step. The outcomes are set once this step's terminations are known, so only
@@ -385,8 +384,7 @@ class Environment:
             self.table.put({field_name: kept})
 
     def _remember(self, worlds: Tensor | None = None) -> None:
-        """Keep the fields that are read as ``previous_``, as they are now: in all worlds or where
-        `worlds` (N,) is true."""
+        """Keep the fields that are read as ``previous_`` as they now are, where `worlds` is true."""
         for name, kept in self._previous.items():
             if kept is None:  # the first time; others of them may be computed from it
                 shape = (self.num_worlds, *self.table.shapes[name])

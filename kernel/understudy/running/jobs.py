@@ -126,8 +126,7 @@ class Job(ABC):
 
     @abstractmethod
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`; a RunError that names the first difference if it belongs to another
-        model, task or number of worlds."""
+        """Continue from `state`; a RunError names the first difference if it is not of this task."""
 
     @abstractmethod
     def load_learned(self, state: State, samples: int) -> None:

@@ -32,8 +32,7 @@ class Rewards:
         }
 
     def combined(self, values: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The reward of the terms' `values`, each (N,); and by term what it adds to it,
-        or multiplies it with."""
+        """The reward of the terms' `values`, each (N,); and by term what it adds or multiplies."""
         given: dict[str, Tensor] = {}
         for term, value in zip(self._terms, values, strict=True):
             if term.where in self.least:

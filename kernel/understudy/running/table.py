@@ -16,8 +16,7 @@ class FieldTable:
     """Values of state fields at the present state.
 
     Fields come from the simulator, from the environment (`own`), or from providers, which read other
-    fields. A ConfigError if two parts provide the same field, or providers need each other's fields
-    in a circle.
+    fields. A ConfigError if two parts provide the same field, or they need one another's.
     """
 
     def __init__(

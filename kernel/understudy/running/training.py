@@ -118,10 +118,12 @@ class Training:
             progress = {"pending": {}, **state["progress"]}
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
-            counts = {n: progress[n] for n, own in vars(Progress()).items() if type(own) is int}
-            counts["evaluated_at"] = abs(counts["evaluated_at"])  # set back, also before the start
-            if wrong := [f"{n}={c}" for n, c in counts.items() if type(c) is not int or c < 0]:
-                raise ValueError(f"'progress' cannot be {wrong[0]}")
+            # Evaluations are set back, also before the start.
+            numbers = progress | {"evaluated_at": abs(progress["evaluated_at"])}
+            for name, own in vars(Progress()).items():
+                fits = type(found := numbers[name]) in (int, type(own))
+                if type(own) in (int, float) and not (fits and 0 <= found < 2**63):
+                    raise ValueError(f"'progress' cannot be {name}={found}")
             load(state)
             self.progress = Progress(**progress)
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
@@ -144,8 +146,7 @@ class Training:
 
     def resume(self) -> None:
         """Load the newest intact checkpoint of the run; one that was stopped before the first starts
-        from the beginning. A RunError if the checkpoint is not of a training, or does not fit; or if
-        none is left of one that was under way."""
+        from the beginning. A RunError if that is not of a training, does not fit, or is lost."""
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
@@ -209,8 +210,7 @@ class Training:
         return self.outcome
 
     def rows(self) -> Generator[dict[str, Any], None, None]:
-        """:meth:`train`, pausing after each iteration; a caller that stops asking leaves the run as
-        after a stop signal, saved and resumable."""
+        """:meth:`train`, pausing after each iteration; who stops asking leaves it saved, as a signal."""
         run, root, progress = self.run, self.experiment.root, self.progress
         self._saved_at = progress.seconds
         self.outcome = "failed"

@@ -170,8 +170,7 @@ def _check(override: str, plugins: Plugins) -> None:
 
 
 def _leads_out(name: Any) -> bool:
-    """Whether a group or an option is named by a path out of the folders of options, or by what is
-    still to be resolved."""
+    """Whether a name is a path out of the folders of options, or of what is still to be resolved."""
     text = str(name) if isinstance(name, (str, QuotedString)) else ""
     return Path(text).is_absolute() or ".." in Path(text).parts or "${" in text
 

@@ -40,8 +40,7 @@ __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 State = tuple[str, int, int, int]
 #: What was read: which files a file builds on, and what else it says.
 _read: dict[State, tuple[ConfigResult, dict[str, Any]]] = {}
-#: What was merged, by folders, overrides that choose files and groups of their own: the files that
-#: were asked for, and it.
+#: The files asked for and what was merged, by folders, overrides that choose files, own groups.
 _merged: dict[tuple[str | None, ...], tuple[dict[str, State | None], DictConfig]] = {}
 #: Stands before a number in a word of the command line, whose text is to be kept beside its value.
 MARK = "\ue000"

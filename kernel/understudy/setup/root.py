@@ -11,8 +11,7 @@ from understudy.options import check_range
 
 __all__ = ["Root"]
 
-#: The most steps of physics in a decision, decisions in an episode of an evaluation, and in all of
-#: its episodes.
+#: The most physics steps of a decision, decisions of an evaluation's episode, and of all of it.
 _STEPS, _DECISIONS, _JUDGED = 100_000, 1_000_000, 100_000_000
 
 

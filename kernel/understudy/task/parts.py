@@ -37,8 +37,7 @@ class Fields(ABC):
 
 
 class Encoder(ABC):
-    """Turns state fields into one observation tensor (N, …). A pure function, not a network:
-    those are the policy's."""
+    """Turns state fields into one observation (N, …). A pure function; networks are the policy's."""
 
     reads: tuple[str, ...]
     #: Shape of the observation without N.
@@ -82,8 +81,7 @@ class Memory(ABC):
     No replay buffer, and no recurrent state of a network.
 
     They are fields. After every control period :meth:`advance` is called with the fields as they
-    are then, among them its own tensors from before; memories advance in the order of the
-    configuration.
+    are then, among them its own tensors from before; memories advance in their order.
     """
 
     reads: tuple[str, ...] = ()
@@ -121,8 +119,7 @@ class InitialStates(ABC):
     @abstractmethod
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         """One initial state for each of the N worlds: the simulator's ``state_fields``,
-        ``episode_fields`` and ``varies``, each (N, …). The environment uses the rows of worlds that
-        begin."""
+        ``episode_fields`` and ``varies``, each (N, …), of which rows of worlds that begin are used."""
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         """Learn from a digested rollout (its ``returns`` are set); returns metrics."""
@@ -158,8 +155,7 @@ class Curriculum(ABC):
 
     @abstractmethod
     def update(self, rollout: Rollout) -> dict[str, float]:
-        """Learn from a digested rollout; returns metrics. A metric ``mark/TEXT`` marks the learning
-        curves with TEXT."""
+        """Learn from a digested rollout; returns metrics, of which ``mark/TEXT`` marks curves."""
 
     def finished(self) -> bool:
         """Whether learning on is of no use, whatever the budget."""

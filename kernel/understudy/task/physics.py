@@ -89,8 +89,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        """Advance every world by one control period, or by `substeps` physics steps,
-        under `control` (N, U)."""
+        """Advance all worlds by a control period, or `substeps` of it, under `control` (N, U)."""
 
     @abstractmethod
     def failed(self) -> Tensor:
@@ -99,8 +98,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of everything that decides the future, varied parameters too, each (N, …),
-        in full precision."""
+        """An exact copy of all that decides the future, varied parameters too, each (N, …)."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
@@ -111,8 +109,7 @@ class Simulator(ABC):
         self, work: Callable[[Tensor], T], environment: Environment
     ) -> Callable[[Tensor], T]:
         """`work` on an action (N, A), which steps `environment`, as it is called from now on: an
-        accelerator may take it down once and replay it. What it returns is then overwritten by the
-        next call."""
+        accelerator may take it down once and replay it, and the next call overwrite what it returns."""
         return work
 
     def report(self) -> dict[str, int]:
