@@ -264,19 +264,19 @@ def check_range(
     most: float | None = None,
 ) -> None:
     """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers
-    that have a least are sizes or counts, of which :data:`MANY` are the most unless `most` says
-    otherwise. A ValueError names the one that does not."""
+    above `above`, at `least` or more, and at `most` or less, :data:`MANY` where nothing is said; of
+    tuples and mappings, each value. A ValueError names the one that does not."""
     for name in names:
         given = getattr(options, name)
-        for value in given if isinstance(given, tuple) else (given,):
+        several = given.values() if isinstance(given, Mapping) else given
+        for value in several if isinstance(given, (tuple, Mapping)) else (given,):
             if value is None:
                 continue
-            end = MANY if most is None and least is not None and type(value) is int else most
+            end = MANY if most is None else most
             for limit, holds, how in (
                 (above, above is None or value > above, "greater than"),
                 (least, least is None or value >= least, "at least"),
-                (end, end is None or value <= end, "at most"),
+                (end, value <= end, "at most"),
             ):
                 if not holds:
                     raise ValueError(
@@ -284,7 +284,7 @@ def check_range(
                     )
 
 
-#: The most that an option which is a size or a count can be, where nothing else is said.
+#: The most that an option which has a range can be, where nothing else is said.
 MANY = 10**6
 
 

@@ -148,8 +148,7 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Roo
         return {"float": repr(value)}
     if value is None or isinstance(value, (bool, int, float, str)):
         return {"value": value}
-    what = f"The checkpoint's state '{where}' is a {type(value).__name__}"
-    raise PluginError(f"{what}, which is not data. Mend the part that gives it.")
+    raise PluginError(f"The state '{where}' is a {type(value).__name__}, which is not data.")
 
 
 def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:

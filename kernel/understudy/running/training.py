@@ -118,8 +118,7 @@ class Training:
             progress = {"pending": {}, **state["progress"]}
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
-            # Evaluations are set back, also before the start.
-            numbers = progress | {"evaluated_at": abs(progress["evaluated_at"])}
+            numbers = progress | {"evaluated_at": abs(progress["evaluated_at"])}  # it is set back
             for name, own in vars(Progress()).items():
                 fits = type(found := numbers[name]) in (int, type(own))
                 if type(own) in (int, float) and not (fits and 0 <= found < 2**63):

@@ -88,7 +88,7 @@ class Clusters(Curriculum):
 
         def __post_init__(self) -> None:
             check_range(self, "start", "most", "episodes", least=1)
-            check_range(self, "within", above=0)
+            check_range(self, "within", above=0, most=1e3)
             if self.most < self.start:
                 raise ValueError(f"most={self.most} is not possible: start is {self.start}.")
 

@@ -235,6 +235,7 @@ class Lead(_Leading):
             check_range(self, "torn", least=1)
             check_range(self, "enough", least=0.01, most=0.6)
             check_range(self, "goes", least=0.1, most=10)
+            check_range(self, "elbow", least=-1e3, most=1e3)
             if self.taken and not self.held:
                 raise ValueError("taken=true is not possible with held=false: give held=true, too.")
 
