@@ -33,7 +33,7 @@ from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy_characters.character import load_character
 from understudy_motion import library
-from understudy_motion.reading import read_clip
+from understudy_motion.reading import ClipReader, read_clip
 from understudy_motion.writing import write_clip
 from understudy_skills.skill import open_skill
 
@@ -1103,3 +1103,27 @@ def test_a_part_that_gives_fields_as_no_mapping_spoils_no_advice(
     with_stranger(of_one_part(monkeypatch, "fields", "stranger/odd", part))
     assert unharmed(main, ["train", *GO, "encoder.state.reads={offset: nowhere}"]) == 2
     assert "encoder.state needs the state field 'nowhere'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moment", ["recognises", "read"])
+def test_a_reader_of_clips_that_raises_is_named_and_others_read(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], moment: str,
+) -> None:  # fmt: skip
+    """No clip of any format was read any more, in a traceback."""
+
+    class Odd(ClipReader):
+        def recognises(self, head: bytes, path: Path) -> bool:
+            return {}["gone"] if moment == "recognises" else head.startswith(b"ODD")
+
+        def read(self, path: Path, options: Any = None) -> Any:
+            return {}["gone"]
+
+    with_stranger(of_one_part(monkeypatch, "clip_reader", "aaa", Odd))
+    (tmp_path / "clip.odd").write_text("ODD")
+    own = write_npz(tmp_path)
+    assert unharmed(main, ["motion", "check", str(tmp_path / "clip.odd")]) == 2
+    told = capsys.readouterr().err
+    assert "clip_reader 'aaa' of plugin 'stranger'" in told
+    assert "KeyError: 'gone'" in told
+    assert unharmed(main, ["motion", "check", str(own)]) in (0, 1)

@@ -917,6 +917,8 @@ MUTANTS = (
            'if part.distribution != "understudy"]', "]", "tests/faults/test_23_broken_plugins.py -k ours"),
     Mutant("a term's option is any number", f"{KERNEL}/setup/validation.py",
            "filled(limits, checked, where)", "pass", "tests/faults/test_27_ranges.py -k line"),
+    Mutant("a reader that raises reads for all", "plugins/figures/motion/understudy_motion/reading.py",
+           'if component.distribution == "understudy":', "if True:", "tests/faults/test_23_broken_plugins.py -k reader"),
     Mutant("a part returns anything", "plugins/learning/reinforcement/understudy_reinforcement/promised.py",
            "if value.device != like.device or value.layout != like.layout or value.is_complex():", "if False:",
            "tests/plugins/reinforcement/test_promised.py -k numbers"),
