@@ -1,8 +1,7 @@
 """Several processes, one GPU each, started by ``torchrun``. A single process is a group of one.
 
 Each process owns ``num_worlds`` worlds; process r's are worlds r·N to r·N + N - 1 of the random
-streams. Gradients and statistics are averaged over processes, decisions are process 0's, and only
-process 0 writes files.
+streams. Gradients and statistics are averaged over processes; process 0 alone decides, and writes.
 """
 
 from __future__ import annotations

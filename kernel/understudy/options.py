@@ -60,8 +60,7 @@ class Typed:
 def options_of(factory: Any) -> dict[str, Option]:
     """The options of a factory.
 
-    A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
-    keyword-only parameters.
+    A class's are the fields of its ``Options``; a function's (a term's) its keyword-only parameters.
     """
     if (schema := schema_of(factory)) is not None:
         hints = _hints(schema)
@@ -271,14 +270,15 @@ def check_range(
     otherwise, it is at most :data:`MANY`."""
     for name in names:
         given = getattr(options, name)
-        for value in given if isinstance(given, tuple) else (given,):
+        several = given.values() if isinstance(given, Mapping) else given
+        for value in several if isinstance(given, (tuple, Mapping)) else (given,):
             if value is None:
                 continue
-            end = MANY if most is None and least is not None and type(value) is int else most
+            end = MANY if most is None else most
             for limit, holds, how in (
                 (above, above is None or value > above, "greater than"),
                 (least, least is None or value >= least, "at least"),
-                (end, end is None or value <= end, "at most"),
+                (end, value <= end, "at most"),
             ):
                 if not holds:
                     raise ValueError(

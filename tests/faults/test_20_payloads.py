@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import torch
 
-from understudy.errors import UnderstudyError
+from understudy.errors import PluginError, UnderstudyError
 from understudy.records import checkpoint, runs
 from understudy_inspect.replay import replay_step
 
@@ -155,7 +155,7 @@ def test_run_file_nested_to_the_limit(tmp_path: Path) -> None:
 
 
 def test_state_that_is_no_data_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=r"state 'a/b' is a Payload, which is not data"):
+    with pytest.raises(PluginError, match=r"state 'a/b' is a Payload, which is not data"):
         checkpoint.save(tmp_path / "x", {"a": {"b": Payload()}}, {})
     assert not list(tmp_path.glob("x*"))
 

@@ -28,12 +28,12 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar, Registry
 from understudy.signals import StopRequest
-from understudy.task import Actuation, Encoder, Fields, InitialStates, Memory
+from understudy.task import Actuation, Encoder, Fields, InitialStates, Memory, box
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy_characters.character import load_character
 from understudy_motion import library
-from understudy_motion.reading import read_clip
+from understudy_motion.reading import ClipReader, read_clip
 from understudy_motion.writing import write_clip
 from understudy_skills.skill import open_skill
 
@@ -937,3 +937,193 @@ def test_formats_of_others_are_read_and_written(
             FileError, match=r"Plugin 'stranger' did not load: clip_(read|writ)er 'odd'"
         ):
             use()
+
+
+class _Broken:
+    """Raises where `when` says, else is as parts are; of any kind."""
+
+    when = "made"
+    reads, shape, provides, keeps, state_fields = ("offset",), (2,), {}, {}, ()  # type: ignore[var-annotated]
+
+    def __init__(self, options: None, *context: Any) -> None:
+        if self.when == "made":
+            self.fail()
+
+    def fail(self) -> Any:
+        return {}["gone"]
+
+
+class _BrokenEncoder(_Broken, Encoder):
+    def encode(self, offset: Any) -> Any:
+        return self.fail()
+
+
+class _BrokenStart(_Broken, InitialStates):
+    reads = ()
+
+    def sample(self, streams: Any, **fields: Any) -> Any:
+        return self.fail()
+
+
+class _BrokenLater(_Broken):
+    """A reward that fails in the middle of a training."""
+
+    when, calls = "later", 0
+
+    def __call__(self, offset: Any) -> Any:
+        type(self).calls += 1
+        return self.fail() if self.calls > 20 else offset[:, 0].exp()
+
+
+def _broken_term(offset: Any) -> Any:
+    return {}["gone"]
+
+
+@pytest.mark.parametrize(
+    ("slot", "part"),
+    [
+        *((slot, _Broken) for slot in ("scene", "simulator", "actuation", "initial_states", "curriculum", "policy",
+                                       "learner", "job", "encoder.state", "reward.terms.odd", "measure.odd",
+                                       "fields.odd", "memory.odd")),
+        ("encoder.state", type("_Late", (_BrokenEncoder,), {"when": "asked"})),
+        ("initial_states", type("_Late", (_BrokenStart,), {"when": "asked"})),
+        ("reward.terms.odd", _BrokenLater),
+        ("termination.terms.odd", _broken_term),
+    ],
+)  # fmt: skip
+def test_what_a_part_raises_is_its_plugins(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], slot: str, part: Any,
+) -> None:  # fmt: skip
+    """Each ended in a traceback, while the run was built or later. Whoever mends it is shown where it was."""
+    kind = slot.partition(".")[0]
+    with_stranger(of_one_part(monkeypatch, kind, "stranger/odd", part))
+    words = [*GO, f"{slot}={{name: stranger/odd}}", "reward.combine=sum"]
+    assert unharmed(main, ["train", *words, f"run.dir={tmp_path / 'run'}"]) == 2
+    told = capsys.readouterr().err
+    assert "Traceback" not in told
+    last = told.strip().splitlines()[-1]
+    assert last.startswith(
+        f"understudy: {kind} 'stranger/odd' of plugin 'stranger' raises KeyError: 'gone' ("
+    )
+    assert f"({Path(__file__).name}, line " in last
+    assert "(UNDERSTUDY_TRACEBACK=1 prints the traceback), or choose another one." in last
+    assert (tmp_path / "run").exists() == (part is _BrokenLater)
+    monkeypatch.setenv("UNDERSTUDY_TRACEBACK", "1")
+    assert unharmed(main, ["train", *words, f"run.dir={tmp_path / 'more'}"]) == 2
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+def test_what_a_section_or_a_command_raises_is_its_plugins(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    @dataclass
+    class Options:
+        size: float = 1.0
+
+    def build(options: Options, registry: Registry, inputs: Any) -> Any:
+        raise ZeroDivisionError
+
+    class Odd(_Typed):
+        def run(self, options: argparse.Namespace) -> int:
+            raise NotImplementedError("odd \x1b[31m")
+
+    stranger = of_one_part(monkeypatch, "command", "odd", Odd)
+    vars(sys.modules["stranger.parts"]).update(Options=Options, build=build)
+    vars(stranger)["SECTIONS"] = {"odd": ("parts:Options", "parts:build")}
+    with_stranger(stranger)
+    assert unharmed(main, ["train", *GO, "+odd.size=2"]) == 2
+    told = capsys.readouterr().err
+    assert "section 'odd' of plugin 'stranger' raises ZeroDivisionError (" in told
+    assert unharmed(main, ["odd", "word"]) == 2
+    told = capsys.readouterr().err
+    assert "command 'odd' of plugin 'stranger' raises NotImplementedError: odd [31m (" in told
+
+
+def test_what_our_own_parts_raise_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A defect of ours is no stranger's fault."""
+
+    def defect(offset: Any) -> Any:
+        raise KeyError("ours")
+
+    component = load().registry.find("reward", "miniature/near")
+    assert component.distribution == "understudy"
+    monkeypatch.setattr(
+        sys.modules[component.factory.__module__], component.factory.__name__, defect
+    )
+    plugins_module.installed.cache_clear()
+    try:
+        with pytest.raises(KeyError, match="ours"):
+            main(["train", *GO])
+    finally:
+        plugins_module.installed.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [
+        (_lacking(Actuation, control=_none, action_space=None), "has action_space = None, which must be a ActionSpace"),
+        (_lacking(Actuation, control=_none, action_space=3), "has action_space = 3, which must be a ActionSpace"),
+        (_lacking(Actuation, control=_none, action_space=box(2), every="often"), "has every = 'often', which must be a Literal"),
+        (_lacking(Actuation, control=_none, action_space=box(2), every=3), "has every = 3, which must be a Literal"),
+        (_lacking(Encoder, encode=_none, reads=(), shape=(2,), columns=3), "has columns = 3, which must be a Sequence[str]"),
+        (_lacking(Memory, begin=_none, advance=_none, keeps={}, uniforms=-1), "has uniforms = -1, which must be a int"),
+        (_lacking(InitialStates, sample=_none, settle=-2), "has settle = -2, which must be a int"),
+    ],
+)  # fmt: skip
+def test_what_a_part_says_of_itself_is_of_its_form(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    part: Any, why: str,
+) -> None:  # fmt: skip
+    """The first and what is below 0 ended in tracebacks; actions were held for a decision however often was said."""
+    slot = next(
+        slot
+        for slot, base in (
+            ("actuation", Actuation),
+            ("encoder.state", Encoder),
+            ("memory.odd", Memory),
+            ("initial_states", InitialStates),
+        )
+        if issubclass(part, base)
+    )
+    with_stranger(of_one_part(monkeypatch, slot.partition(".")[0], "stranger/odd", part))
+    assert unharmed(main, ["train", *GO, f"{slot}={{name: stranger/odd}}"]) == 2
+    assert why in capsys.readouterr().err
+
+
+def test_a_part_that_gives_fields_as_no_mapping_spoils_no_advice(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """Its fields were looked through for one that another part lacks, in a traceback."""
+    part = type(
+        "Odd",
+        (_Built, Fields),
+        {"provides": property(lambda self: {}), "compute": _none, "reads": ()},
+    )
+    with_stranger(of_one_part(monkeypatch, "fields", "stranger/odd", part))
+    assert unharmed(main, ["train", *GO, "encoder.state.reads={offset: nowhere}"]) == 2
+    assert "encoder.state needs the state field 'nowhere'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moment", ["recognises", "read"])
+def test_a_reader_of_clips_that_raises_is_named_and_others_read(
+    with_stranger: Callable[[ModuleType], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], moment: str,
+) -> None:  # fmt: skip
+    """No clip of any format was read any more, in a traceback."""
+
+    class Odd(ClipReader):
+        def recognises(self, head: bytes, path: Path) -> bool:
+            return {}["gone"] if moment == "recognises" else head.startswith(b"ODD")
+
+        def read(self, path: Path, options: Any = None) -> Any:
+            return {}["gone"]
+
+    with_stranger(of_one_part(monkeypatch, "clip_reader", "aaa", Odd))
+    (tmp_path / "clip.odd").write_text("ODD")
+    own = write_npz(tmp_path)
+    assert unharmed(main, ["motion", "check", str(tmp_path / "clip.odd")]) == 2
+    told = capsys.readouterr().err
+    assert "clip_reader 'aaa' of plugin 'stranger'" in told
+    assert "KeyError: 'gone'" in told
+    assert unharmed(main, ["motion", "check", str(own)]) in (0, 1)

@@ -15,6 +15,7 @@ import re
 import signal
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -118,8 +119,9 @@ def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
             raise ConfigError(f"'{word}' is not taken here. See `understudy {command} --help`.")
-        if instead := _instead(word.partition("=")[0]):
-            raise ConfigError(f"{word} is Hydra's own. {instead}")
+        for options, _, instead in (o.partition(": ") for o in _text("hydra.txt").splitlines()):
+            if word.partition("=")[0] in options.split():
+                raise ConfigError(f"{word} is Hydra's own. {instead}")
         if word.startswith("-"):
             if not value and "=" not in following:
                 value = following

@@ -23,7 +23,7 @@ from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
-from understudy.errors import RunError
+from understudy.errors import PluginError, RunError
 from understudy.folders import opened, read, write_atomically
 
 __all__ = ["load", "misshapen", "newest", "save"]
@@ -154,7 +154,7 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Roo
         return {"float": repr(value)}
     if value is None or isinstance(value, (bool, int, float, str)):
         return {"value": value}
-    raise TypeError(f"checkpoint state '{where}' is a {type(value).__name__}, which is not data")
+    raise PluginError(f"The state '{where}' is a {type(value).__name__}, which is not data.")
 
 
 def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:

@@ -24,7 +24,7 @@ from understudy.task import (
 )
 from understudy.task.terms import Term, Wired
 
-__all__ = ["Parts", "calls"]
+__all__ = ["MISFITS", "Parts", "calls", "returned"]
 
 
 @dataclass

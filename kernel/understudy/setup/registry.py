@@ -12,8 +12,10 @@ import functools
 import importlib
 import inspect
 import re
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from understudy.errors import ConfigError, PluginError, UnderstudyError, said, suggestion
@@ -166,13 +168,16 @@ class Component:
 def _fits(value: Any, form: str) -> bool:
     """Whether the `value` of an attribute has the type `form`; ``("position")`` is no tuple."""
     several = isinstance(value, Sequence) and not isinstance(value, str)
-    if form == "tuple[str, ...]":
+    if form in ("tuple[str, ...]", "Sequence[str]"):
         return several and all(isinstance(item, str) for item in value)
     if form == "Shape":
         return several and all(hasattr(item, "__index__") for item in value)
     if form == "Mapping[str, Shape]":
         return isinstance(value, Mapping) and all(_fits(v, "Shape") for v in value.values())
-    return form != "int" or hasattr(value, "__index__")
+    if form.startswith(("ActionSpace", "Literal")):
+        kinds = [kind.__name__ for kind in type(value).__mro__]
+        return form in kinds or (isinstance(value, str) and repr(value) in form)
+    return form != "int" or getattr(value, "__index__", lambda: -1)() >= 0
 
 
 @dataclass(frozen=True)
@@ -235,6 +240,20 @@ class Registry:
         """Which plugins did not load, and why; the end of an error about something not found."""
         return "".join(f" Plugin '{name}' did not load: {why}" for name, why in self.broken.items())
 
+    def fault_of(self, error: BaseException) -> PluginError | None:
+        """The fault of the stranger's part in whose code `error` arose, the innermost of several."""
+        every = (*self.components.values(), *(s.build for s in self.sections.values()))
+        parts = [part for part in every if part.distribution != "understudy"]
+        made = [(vars(part).get("factory", part.target), part) for part in parts]
+        found = {id(getattr(factory, "__code__", factory)): part for factory, part in made}
+        for frame, line in reversed([*traceback.walk_tb(error.__traceback__)]):
+            for own in (frame.f_code, *type(frame.f_locals.get("self")).__mro__):
+                if part := found.get(id(own)):
+                    where = f"{Path(frame.f_code.co_filename).name}, line {line}"
+                    shows = "Mend the plugin (UNDERSTUDY_TRACEBACK=1 prints the traceback)"
+                    return part.fault(f"raises {said(error).rstrip(':.')} ({where})", shows)
+        return None
+
     def remove(self, plugin: str) -> None:
         """Forget what `plugin` registered."""
         for title, table in vars(self).items():
@@ -260,11 +279,14 @@ class Registrar:
             raise PluginError(
                 f"Plugin '{self.plugin}' registers {target!r} as the {kind} '{name}'."
             )
-        origin = (self.plugin, self.distribution, self.version)
-        component = Component(kind, name, target, *origin, summary)
+        component = self._component(kind, name, target, summary)
         self._add(kind, self.registry.components, (kind, name), component, summary)
         if kind == "command":
             self._check_command(name)
+
+    def _component(self, kind: str, name: str, target: Any, summary: str = "") -> Component:
+        origin = (self.plugin, self.distribution, self.version)
+        return Component(kind, name, target, *origin, summary)
 
     def _check_command(self, name: str) -> None:
         """Raise :class:`PluginError` for a command that cannot be typed, or that is a group."""

@@ -102,4 +102,7 @@ def test_there_are_no_more_than_the_scene_has() -> None:
         curriculum(blocks=2)
     fewer = curriculum(most=2)
     fewer.load_state_dict({"clusters": 4, "ended": 0, "total": 0.0})
+    for clusters, ended in ((0, 0), (-3, 0), (2, -1)):
+        with pytest.raises(ValueError, match="and not between"):
+            fewer.load_state_dict({"clusters": clusters, "ended": ended, "total": 0.0})
     assert fewer.clusters == 2, "those of a run that had more"

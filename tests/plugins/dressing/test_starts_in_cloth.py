@@ -12,6 +12,8 @@ import torch
 from scipy.spatial import ConvexHull
 
 from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_dressing.body import limb
 from understudy_dressing.initial_states import Track
@@ -146,6 +148,18 @@ def test_cloth_that_begins_in_the_person_is_refused(
     assert "the cloth begins" in error
     assert "cm inside the person: move low and high away from it." in error
     assert not run.exists(), "before anything is written"
+
+
+def test_noise_counts_where_the_sleeve_begins_away_from_the_person() -> None:
+    """The neutral person was looked at alone, so arms began deep in the cloth without a word."""
+    pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+    words = ["experiment=dressing/sleeve_coarse", "device=cpu", "num_worlds=2"]
+    sentence = (
+        "with a noise of 1 rad the person begins 3 cm inside the cloth: give it less, or move"
+    )
+    with pytest.raises(ConfigError, match=sentence):
+        build_environment(load_experiment([*words, "initial_states.noise=1"]))
+    build_environment(load_experiment(words)).environment.close()
 
 
 def test_a_shirt_whose_sleeve_the_arm_would_begin_through_is_refused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -55,6 +56,107 @@ def test_a_part_that_keeps_no_promise_is_named(function: Callable[..., Any], sen
     with pytest.raises(ConfigError, match=sentence) as refused:
         promised.begin(environment)
     assert str(refused.value).startswith(where)
+
+
+def spoiled(environment: Environment, where: str, change: Callable[[Any], Any]) -> None:
+    """Have the part at `where` return what `change` makes of what it returns."""
+    parts: Any = environment.parts
+    part, method = {
+        "encoder.state": lambda: (parts.encoders["state"].part, "encode"),
+        "actuation": lambda: (parts.actuation.part, "control"),
+        "fields.offset": lambda: (next(f.part for f in parts.fields if f.where == "fields.offset"), "compute"),
+        "memory.target": lambda: (parts.memories["target"].part, "begin"),
+        "memory.target later": lambda: (parts.memories["target"].part, "advance"),
+        "initial_states": lambda: (parts.initial_states, "sample"),
+        "curriculum": lambda: (parts.curriculum, "begin"),
+    }[where]()  # fmt: skip
+    own = getattr(part, method)
+    setattr(
+        part, method, functools.wraps(own)(lambda *given, **fields: change(own(*given, **fields)))
+    )
+
+
+def each(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def changed(given: Any) -> Any:
+        return (
+            {name: change(v) for name, v in given.items()}
+            if isinstance(given, dict)
+            else change(given)
+        )
+
+    return changed
+
+
+CHANGES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "nothing": (lambda given: None, "a NoneType: "),
+    "a list": (each(Tensor.tolist), "a list: "),
+    "numpy": (each(Tensor.numpy), "a ndarray: "),
+    "complex": (each(lambda value: value.to(torch.complex64)), "torch.complex64, torch.strided, on cpu: "),
+    "sparse": (each(Tensor.to_sparse), "torch.float32, torch.sparse_coo, on cpu: "),
+    "elsewhere": (each(lambda value: value.to("meta")), "torch.float32, torch.strided, on meta: "),
+    "more dimensions": (each(lambda value: value[None]), r" has shape \(1, 4"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", CHANGES)
+@pytest.mark.parametrize(
+    "where",
+    ["encoder.state", "actuation", "fields.offset", "memory.target", "memory.target later", "initial_states", "curriculum"],
+)  # fmt: skip
+def test_what_is_no_tensor_of_numbers_is_named(where: str, what: str) -> None:
+    """Each was a traceback from within the kernel, or was trained with."""
+    if what == "complex" and where in ("initial_states", "curriculum"):
+        return  # written into tensors of real numbers, which is said by torch
+    environment = go("curriculum={name: linear, samples: 100}")
+    change, sentence = CHANGES[what]
+    spoiled(environment, where, change)
+    with pytest.raises(ConfigError, match=sentence) as refused:
+        promised.begin(environment)
+    assert where.partition(" ")[0].replace("offset", "") in str(refused.value)
+
+
+@pytest.mark.parametrize("where", ["encoder.state", "actuation"])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.int64, torch.bool])
+def test_networks_and_simulators_take_float32(where: str, dtype: torch.dtype) -> None:
+    environment = go()
+    spoiled(environment, where, lambda value: value.to(dtype))
+    with pytest.raises(ConfigError, match=rf"^{where} returns {dtype}; it must return float32"):
+        promised.begin(environment)
+
+
+def test_a_part_that_does_not_take_what_it_reads_is_named() -> None:
+    environment = go()
+    encoder = environment.parts.encoders["state"]
+    environment.parts.encoders = {"state": replace(encoder, reads={})}
+    with pytest.raises(
+        ConfigError, match="says that it reads no field, and its encode does not take that: missing"
+    ):
+        promised.begin(environment)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [(None, "returns a NoneType"), ([1.0], "returns a list"), ({"a": "b"}, "'a' as a str"), ({3: 1.0}, "3 as a float"),
+     ({"a": torch.ones(2)}, "'a' as a Tensor"), ({"a": 1j}, "'a' as a complex"), ({"a": None}, "'a' as a NoneType")],
+)  # fmt: skip
+def test_metrics_are_numbers_by_name(given: Any, why: str) -> None:
+    """Each ended a training in a traceback once its row was to be written."""
+    with pytest.raises(ConfigError, match=rf"^part .*{why}: it must return numbers by name"):
+        promised.figures("part", given)
+    assert promised.figures("part", {"a": 2, "b": torch.tensor(0.5)}) == {"a": 2, "b": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("method", "value", "why"),
+    [("stage", None, "where it stands by a NoneType"), ("stage", 3, "by a int"), ("decision", "often", "'often' control periods"),
+     ("decision", 0, "0 control periods"), ("decision", 1.5, "1.5 control periods"), ("decision", True, "True control")],
+)  # fmt: skip
+def test_what_a_curriculum_says_of_itself(method: str, value: Any, why: str) -> None:
+    curriculum = go("curriculum={name: linear, samples: 100}").parts.curriculum
+    promised.check_curriculum(curriculum)
+    setattr(curriculum, method, lambda: value)
+    with pytest.raises(ConfigError, match=why):
+        promised.check_curriculum(curriculum)
 
 
 def test_what_a_part_raises_of_itself_is_its_own() -> None:

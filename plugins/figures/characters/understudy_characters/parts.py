@@ -169,6 +169,9 @@ class FloorContact:
         bodies: tuple[str, ...] = ()  #: empty takes root, trunk and head
         clearance: float = 0.0  #: m above the floor that count as touching
 
+        def __post_init__(self) -> None:
+            check_range(self, "clearance", least=-1e3, most=1e3)
+
     def __init__(self, options: Options, context: Context) -> None:
         self._upright = _UprightLinks(options.bodies, context, "characters/floor_contact")
         self._clearance = options.clearance
@@ -195,7 +198,8 @@ class Fall:
         margin: float = 0.2  #: m, from 0: no fall while the reference has the body as low as this (bound of section 3.5.1)
 
         def __post_init__(self) -> None:
-            check_range(self, "margin", least=0)
+            check_range(self, "margin", least=0, most=1e3)
+            check_range(self, "clearance", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._upright = _UprightLinks(options.bodies, context, "characters/fall")

@@ -60,6 +60,8 @@ class ServoOptions:
     step_speed: float | None = None
 
     def __post_init__(self) -> None:
+        check_range(self, "natural_frequency", "step_speed", most=1e3)
+        check_range(self, "deflection", most=100)
         check_range(self, "natural_frequency", "damping_ratio", "step_speed", above=0)
         if not 0.0 < self.deflection[0] <= self.deflection[1]:
             raise ValueError(

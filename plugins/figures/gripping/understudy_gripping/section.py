@@ -100,6 +100,9 @@ class CandidateOptions:
     #: m along the sticks from their middle, by finger that touches; null is a first guess
     places: Mapping[str, float] | None = None
 
+    def __post_init__(self) -> None:
+        check_range(self, "places", least=-1e3, most=1e3)
+
 
 @dataclass(frozen=True)
 class GripOptions:
@@ -119,6 +122,7 @@ class GripOptions:
 
     def __post_init__(self) -> None:
         check_range(self, "finger_clearance", least=0, most=MOST_CLEARANCE)
+        check_range(self, "places", least=-1e3, most=1e3)
         if self.places is not None and self.style is None:
             raise ValueError("places need a style: set style, such as 11120.")
         for name in self.candidates:

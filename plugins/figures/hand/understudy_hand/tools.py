@@ -152,6 +152,7 @@ class Thing:
     rolling: float = 0.0
 
     def __post_init__(self) -> None:
+        check_range(self, "density", most=1e5)
         count = {"sphere": 1, "capsule": 2, "box": 3, "any": 0}[self.kind]
         if len(self.sizes) != count:
             raise ValueError(

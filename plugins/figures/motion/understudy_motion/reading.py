@@ -196,8 +196,8 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
     """The reader that recognises the file at `path`; errors as :func:`read_clip`."""
     head = read_bytes(path, HEAD_BYTES, whole=False)
     known = readers(registry)
-    for reader in known.values():
-        if reader.recognises(head, path):
+    for name, reader in known.items():
+        if _recognised(registry, name, reader, head, path):
             return reader
     torch_s = head.startswith(b"PK") and b"/data.pkl" in head  # a zip with a pickle
     if head.startswith(b"\x80") or torch_s:
@@ -230,6 +230,19 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
     raise UnknownFormatError(
         f"Clip {path}: not a format that is read here ({formats}).{registry.absent()}"
     )
+
+
+def _recognised(registry: Registry, name: str, reader: ClipReader, head: bytes, path: Path) -> bool:
+    """Whether the `reader` called `name` recognises the file. A stranger's that raises does not, and others are asked."""
+    component = registry.find("clip_reader", name)
+    if component.distribution == "understudy":
+        return reader.recognises(head, path)
+    try:
+        with component.guarded("cannot be used"):
+            return reader.recognises(head, path)
+    except PluginError as error:
+        registry.broken[component.plugin] = str(error)
+        return False
 
 
 def _of_archive(path: Path) -> str:

@@ -14,7 +14,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
-from understudy_curricula.episodes import Judged
+from understudy_curricula.episodes import Judged, mark_worlds, number_in
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class Linear(_OfDifficulty):
         return {"samples": self._samples, "difficulty": self.difficulty}
 
     def load_state_dict(self, state: State) -> None:
-        self._samples = state["samples"]
-        self.move(state["difficulty"])
+        self._samples = number_in(state, "samples")
+        self.move(number_in(state, "difficulty", most=1.0))
 
 
 class Adaptive(_OfDifficulty):
@@ -171,7 +171,5 @@ class Adaptive(_OfDifficulty):
 
     def load_state_dict(self, state: State) -> None:
         self._judged.load_state_dict(state)
-        self.move(state["difficulty"])
-        older = torch.tensor(state["older"], dtype=torch.long, device=self._older.device)
-        self._older.zero_()
-        self._older[older[older < len(self._older)]] = True  # there may be fewer worlds now
+        self.move(number_in(state, "difficulty", most=1.0))
+        mark_worlds(self._older, state, "older")

@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from understudy import distributed
 from understudy.task import State
 
-__all__ = ["Judged", "totals"]
+__all__ = ["Judged", "mark_worlds", "number_in", "totals"]
 
 
 def totals(*values: Tensor) -> list[float]:
     """The sum of each of `values`, of any shape, over all processes of the training."""
     return distributed.total(torch.stack([value.double().sum() for value in values])).tolist()
+
+
+def number_in(state: State, name: str, least: float = 0.0, most: float = math.inf) -> Any:
+    """The number `name` of a checkpoint's `state`; a ValueError if it is not between `least` and `most`."""
+    value = state[name]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
+        raise ValueError(f"'curriculum/{name}' is {value}, and not between {least:g} and {most:g}")
+    return value
+
+
+def mark_worlds(marks: Tensor, state: State, name: str) -> None:
+    """Mark, in `marks` (N,) bool, the worlds that a checkpoint's `state` lists as `name`; there may be fewer now."""
+    worlds = torch.tensor(state[name], dtype=torch.long, device=marks.device)
+    if worlds.dim() != 1 or bool((worlds < 0).any()):
+        raise ValueError(f"'curriculum/{name}' are no worlds")
+    marks.zero_()
+    marks[worlds[worlds < len(marks)]] = True
 
 
 class Judged:
@@ -39,4 +59,4 @@ class Judged:
         return {"ended": self._ended, "total": self._total}
 
     def load_state_dict(self, state: State) -> None:
-        self._ended, self._total = state["ended"], state["total"]
+        self._ended, self._total = number_in(state, "ended"), state["total"]

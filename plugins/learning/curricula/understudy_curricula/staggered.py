@@ -11,6 +11,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_curricula.episodes import mark_worlds
 
 
 class Staggered(Curriculum):
@@ -56,7 +57,5 @@ class Staggered(Curriculum):
         return {"first": self._first.nonzero().flatten().tolist()}
 
     def load_state_dict(self, state: State) -> None:
-        first = torch.tensor(state["first"], dtype=torch.long, device=self._first.device)
-        self._first.zero_()
-        self._first[first[first < len(self._first)]] = True  # there may be fewer worlds now
+        mark_worlds(self._first, state, "first")
         self._set()

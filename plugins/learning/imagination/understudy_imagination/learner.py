@@ -432,6 +432,9 @@ class Imagination(Learner):
             optimisers.load_state(optimiser, state["optimisers"][name])
         self.replay.load_state_dict(state["replay"])
         self._window = self._restored(state["window"]) if state["window"] else None
+        for name in ("iterations", "trained"):
+            if state[name] < 0:
+                raise ValueError(f"'{name}' cannot be {state[name]}")
         self._iterations, self._trained = int(state["iterations"]), int(state["trained"])
         self._bad.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())

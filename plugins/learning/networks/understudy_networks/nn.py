@@ -327,6 +327,7 @@ class Schedule:
 
     def __post_init__(self) -> None:
         check_range(self, "samples", least=1, most=2**53)
+        check_range(self, "start", "end", least=-1e6)
 
     def at(self, samples: int) -> float:
         share = min(1.0, samples / self.samples)

@@ -84,6 +84,7 @@ class Reinforcement(Job):
         success_of(experiment)  # refused now, not when the training comes to its first evaluation
         self.built = built = build_environment(experiment, substeps=self.resolution.substeps)
         self.environment = built.environment
+        promised.check_curriculum(self.environment.parts.curriculum)
         observations = promised.begin(self.environment)
         self.policy = build_policy(experiment, built.context)
         self._readers = self.policy.readers(observations)
@@ -153,12 +154,13 @@ class Reinforcement(Job):
         self.policy.schedule(samples)
         rollout = self.collector.collect(self.learner.rollout_steps)
         collected = _Moment(self.device)
-        metrics = self.learner.update(rollout)
+        metrics = promised.figures("learner", self.learner.update(rollout))
         self.policy.observe(rollout.observations)  # after it, so that old log-probabilities hold
         initial, curriculum = self._adapting()
-        metrics |= {f"initial_states/{k}": v for k, v in initial.update(rollout).items()}
+        found = promised.figures("initial_states", initial.update(rollout))
+        metrics |= {f"initial_states/{k}": v for k, v in found.items()}
         if curriculum is not None:
-            found = curriculum.update(rollout)
+            found = promised.figures("curriculum", curriculum.update(rollout))
             metrics |= {
                 k if k.startswith("mark/") else f"curriculum/{k}": v for k, v in found.items()
             }
@@ -209,7 +211,7 @@ class Reinforcement(Job):
 
     def stage(self) -> str:
         curriculum = self.environment.parts.curriculum
-        stages = [curriculum.stage()] if curriculum else []
+        stages = [promised.stage(curriculum)] if curriculum else []
         resolution = self.resolution
         return ", ".join([*stages, resolution.in_words] if resolution.coarse else stages)
 
@@ -339,7 +341,9 @@ class Reinforcement(Job):
         self._go_over(state.get("substeps", self.resolution.substeps))
         self.environment.load_state_dict(state["environment"])
         self.collector.streams.load_state_dict(state["collector"])
-        self._failing = state["failing"]
+        if not 0 <= (failing := state["failing"]) <= 1:
+            raise ValueError(f"'failing' cannot be {failing}")
+        self._failing = failing
 
     def load_learned(self, state: State, samples: int) -> None:
         self.policy = build_policy(self.experiment, self.evaluator.built.context)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from understudy.task import Context
 from understudy_tensors.knots import Knots
+from understudy_tensors.limits import limits
 
 
 def _chosen(value: Tensor, index: int | None) -> Tensor:
@@ -42,6 +43,7 @@ def value_where(
     return torch.where(where != 0, _chosen(value, index).float(), torch.nan)
 
 
+@limits(scale=(0, 1e6))
 def steady(
     value: Tensor,
     before: Tensor,
@@ -54,6 +56,7 @@ def steady(
     return torch.exp(-scale * (value - before).square().reshape(len(value), -1).mean(dim=1))
 
 
+@limits(within=(-1e9, 1e9))
 def reached(
     value: Tensor,
     *,
@@ -66,6 +69,7 @@ def reached(
     return (_chosen(value, index) <= within).view(len(value), -1).all(dim=1)
 
 
+@limits(limit=(-1e9, 1e9))
 def beyond(
     value: Tensor,
     *,

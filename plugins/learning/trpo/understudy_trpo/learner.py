@@ -200,3 +200,5 @@ class TRPO(Learner):
         optimisers.load_state(self._optimiser, state["critic"])
         self._generator.set_state(state["generator"].cpu())
         self._bad_updates = int(state["bad_updates"])
+        if self._bad_updates < 0:
+            raise ValueError(f"'bad_updates' cannot be {self._bad_updates}")

@@ -14,7 +14,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
 from understudy_amorphous.scene import AmorphousScene
-from understudy_curricula.episodes import Judged
+from understudy_curricula.episodes import Judged, number_in
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Clusters(Curriculum):
 
         def __post_init__(self) -> None:
             check_range(self, "start", "most", "episodes", least=1)
-            check_range(self, "within", above=0)
+            check_range(self, "within", above=0, most=1e3)
             if self.most < self.start:
                 raise ValueError(f"most={self.most} is not possible: start is {self.start}.")
 
@@ -134,4 +134,4 @@ class Clusters(Curriculum):
 
     def load_state_dict(self, state: State) -> None:
         self._judged.load_state_dict(state)
-        self._move(min(state["clusters"], self.options.most))
+        self._move(min(number_in(state, "clusters", least=1), self.options.most))

@@ -15,6 +15,7 @@ from understudy.options import check_range
 from understudy.task import Context, Fields, Memory
 from understudy.task.terms import ranges
 from understudy_pbd.scene import ParticleScene
+from understudy_tensors.limits import limits
 
 
 def angular_velocity(position: Tensor, velocity: Tensor) -> Tensor:
@@ -48,6 +49,7 @@ class Toss(Fields):
         }
 
 
+@limits(c_1=(-1e6, 1e6), w_1=(-1e6, 1e6), w_2=(-1e6, 1e6))
 @ranges(-math.inf, math.inf)
 def height(
     clearance: Tensor,
@@ -63,6 +65,7 @@ def height(
     return torch.where(clearance > 0, c_1 + w_1 * clearance, w_2 * clearance)
 
 
+@limits(axis=(-1, 1), w_3=(-1e6, 1e6), c_2=(-1e3, 1e3), least=(-1e3, 1e3), most=(-1e3, 1e3))
 @ranges(-math.inf, math.inf)
 def spin(
     clearance: Tensor,
@@ -116,7 +119,7 @@ class Turned(Memory):
         near: float = 0.9  #: m, the greatest distance of its centre of mass from the pan's middle
 
         def __post_init__(self) -> None:
-            check_range(self, "low", "slow", "near", above=0)
+            check_range(self, "low", "slow", "near", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -168,6 +171,7 @@ class Turned(Memory):
         }
 
 
+@limits(direction=(-1, 1), least=(0, 100))
 def flipped(
     caught_turn: Tensor,
     *,

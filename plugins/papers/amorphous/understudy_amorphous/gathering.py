@@ -9,6 +9,7 @@ from torch import Tensor
 
 from understudy.task import Context, Fields
 from understudy.task.terms import ranges
+from understudy_tensors.limits import limits
 
 
 def distance_to(goal: Tensor, particle_position: Tensor) -> Tensor:
@@ -47,6 +48,7 @@ class Farthest(Fields):
         }
 
 
+@limits(within=(0, 1e3))
 def gathered_share(
     particle_position: Tensor,
     active_particles: Tensor,
@@ -60,6 +62,7 @@ def gathered_share(
     return near.sum(dim=1) / active_particles.sum(dim=1).clamp(min=1.0)
 
 
+@limits(share=(1e-9, 1))
 def share_distance(
     particle_position: Tensor,
     active_particles: Tensor,
@@ -92,6 +95,28 @@ def path_length(
     return total / active_particles.sum(dim=1).clamp(min=1.0) if mean else total
 
 
+@limits(
+    c_1=(0, 1e3),
+    c_2=(-1e6, 1e6),
+    c_3=(0, 1e3),
+    c_4=(0, 1e6),
+    c_5=(0, 1e3),
+    w_1=(-1e6, 1e6),
+    w_2=(-1e6, 1e6),
+    w_3=(-1e6, 1e6),
+    w_4=(-1e6, 1e6),
+)
+@limits(
+    c_1=(0, 1e3),
+    c_2=(-1e6, 1e6),
+    c_3=(0, 1e3),
+    c_4=(0, 1e6),
+    c_5=(0, 1e3),
+    w_1=(-1e6, 1e6),
+    w_2=(-1e6, 1e6),
+    w_3=(-1e6, 1e6),
+    w_4=(-1e6, 1e6),
+)
 @ranges(-math.inf, math.inf)
 def gathering(
     farthest_distance: Tensor,

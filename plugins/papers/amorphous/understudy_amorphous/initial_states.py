@@ -79,8 +79,11 @@ class AroundGoal(InitialStates):
         spread: float = 0.5  #: share of its sector in which a block's middle may be
 
         def __post_init__(self) -> None:
+            check_range(self, "distance", "goal_spread", "tool", most=1e3)
+            check_range(self, "facing", most=100)
             check_range(self, "goal_spread", "facing", least=0)
             check_range(self, "spread", least=0, most=1)
+            check_range(self, "goal", least=-1e3, most=1e3)
             for name in ("distance", "tool"):
                 least, most = getattr(self, name)
                 if not 0 <= least <= most:
@@ -130,7 +133,7 @@ class Pile(InitialStates):
         tool: float = 1.5  #: m, from the middle to the tool
 
         def __post_init__(self) -> None:
-            check_range(self, "spread", "tool", least=0)
+            check_range(self, "spread", "tool", least=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -155,7 +158,7 @@ class OnTool(InitialStates):
         height: float = 1.0  #: m, of the tool above the table
 
         def __post_init__(self) -> None:
-            check_range(self, "spread", "height", least=0)
+            check_range(self, "spread", "height", least=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options

@@ -32,7 +32,7 @@ class Grid:
 
     def __post_init__(self) -> None:
         check_range(self, "cells", least=2, most=1024)
-        check_range(self, "width", above=0)
+        check_range(self, "width", above=0, most=1e3)
 
 
 def spread(points: Tensor, values: Tensor, grid: Grid) -> Tensor:
@@ -112,6 +112,7 @@ class MaterialMaps(Encoder):
 
         def __post_init__(self) -> None:
             check_range(self, "scale", "height_scale", above=0)
+            check_range(self, "centre", least=-1e3, most=1e3)
             if not self.channels or len(set(self.channels)) != len(self.channels):
                 raise ValueError(
                     f"channels={list(self.channels)} is not possible: name each of density, height "

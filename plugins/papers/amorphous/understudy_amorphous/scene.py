@@ -114,7 +114,7 @@ class AmorphousScene(ParticleScene):
                     f"blocks={self.blocks} is not possible: of such blocks and resolution there would be more "
                     f"than {_PARTICLES} particles."
                 )
-            check_range(self, "spacing", above=0)
+            check_range(self, "spacing", above=0, most=1e3)
             if min(self.block) < 1:
                 raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")
 

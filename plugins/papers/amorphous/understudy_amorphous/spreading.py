@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from understudy.task.terms import ranges
+from understudy_tensors.limits import limits
 
 
 @ranges(-math.inf, math.inf)
@@ -22,6 +23,7 @@ def lowered(particle_position: Tensor, previous_particle_position: Tensor) -> Te
     return (previous_particle_position[..., 2] - particle_position[..., 2]).mean(dim=1)
 
 
+@limits(c_min=(-1e3, 1e3), k=(-1e6, 1e6))
 @ranges(-math.inf, math.inf)
 def movement(
     particle_position: Tensor,
@@ -38,6 +40,7 @@ def movement(
     return torch.where(particle_position[..., 2] > c_min, moved, -k * moved).mean(dim=1)
 
 
+@limits(c_rad=(0, 1e3))
 @ranges(-math.inf, 0.0)
 def outliers(
     particle_position: Tensor,

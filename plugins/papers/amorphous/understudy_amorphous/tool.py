@@ -86,6 +86,9 @@ class ToolTarget(Actuation):
         tilt_speed: float = 0.5  #: m/s, at which it leans by three quarters of that
 
         def __post_init__(self) -> None:
+            check_range(self, "k_d", most=1e4)
+            check_range(self, "tilt", most=100)
+            check_range(self, "tilt_speed", most=1e3)
             check_range(self, "k_p", "tilt_speed", above=0)
             check_range(self, "k_d", "tilt", least=0)
             _check_axes("reach", tuple(self.reach))

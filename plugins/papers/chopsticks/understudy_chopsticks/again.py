@@ -72,6 +72,7 @@ class Again(Memory):
         patience: float = 2.0  #: s for which the sticks wait until it does
 
         def __post_init__(self) -> None:
+            check_range(self, "distance", "still", most=1e3)
             check_range(self, "most", least=0, most=100)
             check_range(self, "distance", "still", "patience", above=0)
 

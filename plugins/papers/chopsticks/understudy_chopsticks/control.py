@@ -102,7 +102,7 @@ class Offsets(Actuation):
         base: Literal["grip", "plan"] = "grip"
 
         def __post_init__(self) -> None:
-            check_range(self, "hand", "arm", least=0)
+            check_range(self, "hand", "arm", least=0, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "actuation 'chopsticks/offsets'")

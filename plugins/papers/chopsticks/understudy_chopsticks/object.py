@@ -13,6 +13,7 @@ from understudy.task import Context, Fields, Shape
 from understudy.task.terms import ranges
 from understudy_chopsticks.plan_bank import MOST, ON_TABLE, bank_of
 from understudy_tensors import rotations
+from understudy_tensors.limits import limits
 from understudy_tool_planner.planner import DT
 
 
@@ -50,7 +51,7 @@ class Object(Fields):
         settle: float = 0.3  #: s after the plan's end, in which the object comes to rest
 
         def __post_init__(self) -> None:
-            check_range(self, "within", above=0)
+            check_range(self, "within", above=0, most=1e3)
             check_range(self, "settle", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -121,6 +122,7 @@ class Object(Fields):
         }
 
 
+@limits(distance=(0, 1e6), turn=(0, 1e6))
 @ranges(0.0, 1.0)
 def thing(
     object_distance: Tensor,
@@ -133,6 +135,7 @@ def thing(
     return torch.exp(-distance * object_distance - turn * object_turn)
 
 
+@limits(distance=(0, 1e3))
 def lost(
     object_distance: Tensor,
     *,

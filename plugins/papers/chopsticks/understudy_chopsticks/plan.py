@@ -157,6 +157,7 @@ class OpenAndClose(InitialStates):
         )
 
         def __post_init__(self) -> None:
+            check_range(self, "amplitude", most=100)
             for name in ("amplitude", "rate"):
                 low, high = getattr(self, name)
                 if not 0 <= low <= high:

@@ -457,6 +457,8 @@ class Bank:
             name = objects.KINDS[int(kind)]
             self.give(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
         self._drawn = int(state["drawn"])
+        if self._drawn < 0:
+            raise ValueError(f"'drawn' cannot be {self._drawn}")
 
 
 def _heading(shape: objects.Shape, stream: torch.Generator) -> float:

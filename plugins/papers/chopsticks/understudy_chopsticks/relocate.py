@@ -211,4 +211,9 @@ class Relocations(InitialStates):
         self._order.copy_(state["order"])
         if "going" in state:
             self._going.copy_(state["going"])
-        self._waiting, self._next = [int(row) for row in state["waiting"]], int(state["next"])
+        waiting, following = [int(row) for row in state["waiting"]], int(state["next"])
+        if sorted(self._order.tolist()) != [*range(len(self._order))]:
+            raise ValueError("'order' does not have each plan once")
+        if not all(0 <= row < len(self._order) for row in (*waiting, following)):
+            raise ValueError("'waiting' or 'next' are plans that there are not")
+        self._waiting, self._next = waiting, following

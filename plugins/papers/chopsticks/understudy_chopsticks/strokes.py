@@ -24,6 +24,7 @@ from understudy_chopsticks.plan import AHEAD, PLANNED, gripping, planned
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import TIP
 from understudy_tensors import rotations
+from understudy_tensors.limits import limits
 from understudy_tool_planner import arm
 
 #: s between frames.
@@ -224,6 +225,7 @@ def _unmade() -> Curves:
     )
 
 
+@limits(scale=(0, 1e6))
 @ranges(0.0, 1.0)
 def tip(
     tip_error: Tensor,

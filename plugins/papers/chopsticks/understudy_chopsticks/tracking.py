@@ -19,6 +19,7 @@ from understudy_chopsticks.plan import gripping
 from understudy_gripping.holding import holding
 from understudy_hand.tools import GRIPPERS
 from understudy_tensors import rotations
+from understudy_tensors.limits import limits
 from understudy_tensors.segments import at, place_on_segment
 
 
@@ -173,6 +174,7 @@ class Hand:
         return torch.exp(-self._scale * error)
 
 
+@limits(distance=(0, 1e6), turn=(0, 1e6))
 @ranges(0.0, 1.0)
 def sticks(
     stick_distance: Tensor,
@@ -189,6 +191,7 @@ def sticks(
     return torch.exp(-distance * stick_distance.sum(1) - turn * angle.sum(1))
 
 
+@limits(scale=(0, 1e6))
 @ranges(0.0, 1.0)
 def contact(
     tip_distance: Tensor,
@@ -199,6 +202,7 @@ def contact(
     return torch.exp(-scale * tip_distance.sum(1))
 
 
+@limits(distance=(0, 1e3))
 def dropped(
     stick_distance: Tensor,
     *,
@@ -208,6 +212,7 @@ def dropped(
     return (stick_distance > distance).any(dim=1)
 
 
+@limits(turn=(0, 100))
 def turned(
     stick_turn: Tensor,
     *,
@@ -217,6 +222,7 @@ def turned(
     return (stick_turn > turn).any(dim=1)
 
 
+@limits(distance=(0, 1e3))
 def contact_lost(
     tip_distance: Tensor,
     *,

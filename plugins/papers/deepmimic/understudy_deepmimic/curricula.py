@@ -16,7 +16,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
-from understudy_curricula.episodes import totals
+from understudy_curricula.episodes import number_in, totals
 from understudy_deepmimic.horizon import horizon
 
 
@@ -65,7 +65,11 @@ class Recent:
         return [list(episodes) for episodes in self._iterations]
 
     def load_state_dict(self, state: Sequence[Sequence[float]]) -> None:
-        self._iterations = [Episodes(*values) for values in state]
+        iterations = [Episodes(*values) for values in state]
+        for episodes in iterations:
+            number_in(episodes._asdict(), "ended")
+            number_in(episodes._asdict(), "failed", most=episodes.ended)
+        self._iterations = iterations
 
 
 class Stagnation:
@@ -86,7 +90,7 @@ class Stagnation:
         return {"best": self._best, "since": self._since}
 
     def load_state_dict(self, state: State) -> None:
-        self._best, self._since = state["best"], state["since"]
+        self._best, self._since = state["best"], number_in(state, "since")
 
 
 class _OfLength(Curriculum):
@@ -174,7 +178,7 @@ class Adaptive(_OfLength):
         return {"seconds": self.seconds, **super().state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        self.move(state["seconds"])
+        self.move(number_in(state, "seconds", most=self.longest))
         super().load_state_dict(state)
 
 
@@ -218,6 +222,6 @@ class Annealed(_OfLength):
         return {"samples": self._samples, **super().state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        self._samples = state["samples"]
+        self._samples = number_in(state, "samples")
         self._move_along()
         super().load_state_dict(state)

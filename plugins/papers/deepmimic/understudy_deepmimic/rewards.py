@@ -15,9 +15,11 @@ from torch.nn.functional import pad
 from understudy.options import check_range
 from understudy.task import Context
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.limits import limits
 from understudy_tensors.rotations import angle_between, turn_matrix
 
 
+@limits(scale=(0, 1e6))
 def pose(
     root_rotation: Tensor,
     joint_rotations: Tensor,
@@ -57,6 +59,7 @@ class Velocity:
         return torch.exp(-self._scale * difference.square().sum(dim=1))
 
 
+@limits(scale=(0, 1e6))
 def end_effectors(
     root_position: Tensor,
     root_heading: Tensor,
@@ -81,6 +84,7 @@ def end_effectors(
     return torch.exp(-scale * (reference - own + lower).square().sum(dim=(1, 2)))
 
 
+@limits(scale=(0, 1e6))
 def com(
     com_position: Tensor,
     reference_com_position: Tensor,

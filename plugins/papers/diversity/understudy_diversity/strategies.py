@@ -71,7 +71,7 @@ class Stalled:
     until: float | None = None
 
     def __post_init__(self) -> None:
-        check_range(self, "samples", above=0)
+        check_range(self, "samples", above=0, most=2**53)
 
 
 class Patience:

@@ -19,6 +19,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, box
+from understudy_tensors.limits import limits
 from understudy_tensors.simulator import TensorSimulator
 
 START, RUN_UP = -1.05, 3.0  #: m, where take-offs are; m/s, how fast all are along x
@@ -39,7 +40,7 @@ class VaultScene(Scene):
         bar: float = 1.25  #: m, above 0, the bar's height
 
         def __post_init__(self) -> None:
-            check_range(self, "bar", above=0)
+            check_range(self, "bar", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -107,7 +108,10 @@ class TakeOff(InitialStates):
         noise: float = 0.05  #: of each of these, at most, in its unit
 
         def __post_init__(self) -> None:
+            check_range(self, "climb", most=1e3)
             check_range(self, "climb", "noise", least=0)
+            check_range(self, "spin", least=-1e3, most=1e3)
+            check_range(self, "lean", least=-100, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         context.need_scene(VaultScene, "initial_states 'diversity/take_off'")
@@ -178,7 +182,7 @@ class Limbs(Actuation):
         push: float = 12.0  #: rad/s² by which the take-off foot turns the body, at most
 
         def __post_init__(self) -> None:
-            check_range(self, "push", least=0)
+            check_range(self, "push", least=0, most=1e5)
 
     def __init__(self, options: Options, context: Context) -> None:
         context.need_scene(VaultScene, "actuation 'diversity/limbs'")
@@ -189,6 +193,7 @@ class Limbs(Actuation):
         return torch.cat([tuck, self._push * torch.tanh(action[:, 1:])], dim=1)
 
 
+@limits(scale=(1e-9, 1e3))
 def passing(
     crossing: Tensor,
     cleared: Tensor,

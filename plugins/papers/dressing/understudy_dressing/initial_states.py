@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,8 @@ from understudy_dressing.waypoints import IN_SLEEVE
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
+#: So many along an axis where the person's pose is looked at with its noise.
+_FEW = 3
 #: m: so deep may noise put the person into settled cloth, which then gives way; and draws that are looked at.
 _DEEP, _DRAWS = 0.03, 8
 
@@ -66,12 +68,9 @@ class Track(InitialStates):
 
     def _refuse_inside(self, person: PersonScene, settled: np.ndarray) -> None:
         """Starts, on a grid, at which a part of the neutral person is in the cloth."""
-        low, high = np.array(self.options.low), np.array(self.options.high)
-        counts = np.clip(np.ceil((high - low) / _APART).astype(int) + 1, 1, _MOST)
-        sides = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
-        starts = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
-        depth = depth_in(person, self._pose.cpu().numpy())
-        for start in starts:
+        pose, noise = self._pose.cpu().numpy(), self.options.noise
+        depth = depth_in(person, pose)
+        for start in self._starts(_MOST):
             deepest = float(depth(settled + start).max())
             if deepest > 0:
                 x, y, z = start
@@ -79,6 +78,21 @@ class Track(InitialStates):
                     f"initial_states: with the gripper at ({x:.2f}, {y:.2f}, {z:.2f}) m the cloth begins "
                     f"{100 * deepest:.1f} cm inside the person: move low and high away from it."
                 )
+        for one in _noisy(pose, noise) if noise else ():
+            depth = depth_in(person, one)
+            deepest = max(float(depth(settled + start).max()) for start in self._starts(_FEW))
+            if deepest > _DEEP:
+                raise ConfigError(
+                    f"initial_states: with a noise of {noise:g} rad the person begins {100 * deepest:.0f} cm inside the "
+                    "cloth: give it less, or move low and high away."
+                )
+
+    def _starts(self, most: int) -> np.ndarray:
+        """(S, 3) m: places of the gripper on a grid, `most` along an axis."""
+        low, high = np.array(self.options.low), np.array(self.options.high)
+        counts = np.clip(np.ceil((high - low) / _APART).astype(int) + 1, 1, most)
+        sides = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
+        return np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         hinges = len(self._pose)
@@ -98,6 +112,12 @@ class Track(InitialStates):
         }
 
 
+def _noisy(pose: np.ndarray, noise: float) -> Iterator[np.ndarray]:
+    """The farthest that uniform `noise` takes the `pose` (H,), all hinges at once, in some directions."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, len(pose)))
+    yield from pose + noise * signs
+
+
 class _Settled(InitialStates):
     """The whole person in one of some poses, and cloth as it settled there, pose (22,) rad and vertices (V, 3) m of each; uniform
     `noise`, rad, of the pose, `rates`, rad/s, of its velocity, and a `push`, m/s, of all of the cloth in a random direction."""
@@ -114,8 +134,7 @@ class _Settled(InitialStates):
         self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
         self._rest = person.spec().compile().nq - pose.shape[1]
         self._noise, self._rates, self._push = noise, rates, push
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, pose.shape[1]))
-        ends = [(one + noise * sign, x) for one, x in settled for sign in signs]
+        ends = [(end, x) for one, x in settled for end in _noisy(one, noise)]
         deepest = max(float(depth_in(person, one)(x).max()) for one, x in ends)
         if deepest > _DEEP:
             raise ConfigError(

@@ -60,7 +60,7 @@ class PersonScene(MujocoScene):
         cone: bool = False
 
         def __post_init__(self) -> None:
-            check_range(self, "damping", least=0)
+            check_range(self, "damping", least=0, most=1e5)
             names = [hinge.name for link in LINKS for hinge in link.hinges]
             for one in self.still:
                 if not any(name.startswith(one) for name in names):

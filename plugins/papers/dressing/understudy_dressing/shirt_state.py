@@ -84,6 +84,7 @@ class ShirtState(Fields):
         inside: bool = True
 
         def __post_init__(self) -> None:
+            check_range(self, "near", most=1e3)
             check_range(self, "near", "rest", above=0)
             check_range(self, "enough", above=0, most=1)
 

@@ -11,8 +11,10 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context
 from understudy_dressing.person import PersonScene, neutral_pose
+from understudy_tensors.limits import limits
 
 
+@limits(middle=(0, 1e3), scale=(0, 1e6))
 def deformation(
     area_ratio: Tensor,
     *,
@@ -46,7 +48,7 @@ class AlongWay:
         width: float = 1.0  #: rad, the distance over all hinges at which it is 1/e
 
         def __post_init__(self) -> None:
-            check_range(self, "width", above=0)
+            check_range(self, "width", above=0, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._scale, self._decision = options.width**-2, context.decision
@@ -79,6 +81,7 @@ class PoseError:
         return -self._closeness(qpos)
 
 
+@limits(enough=(0, 1))
 def on_the_way(
     most_progress: Tensor,
     *,
@@ -95,6 +98,9 @@ class Upright:
     class Options:
         part: str = "torso"  #: `torso`, or `neck` for the head's
         least: float = -2.5  #: rad, the least that it gives (2018 code: −2.5, head −1.2)
+
+        def __post_init__(self) -> None:
+            check_range(self, "least", least=-100, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         person = context.need_scene(PersonScene, "reward 'dressing/upright'")

@@ -46,6 +46,8 @@ class ArenaOptions:
     gravity: float = 9.81  #: m/s², downwards, above 0
 
     def __post_init__(self) -> None:
+        check_range(self, "height", "width", "length", "mat", "drop", "mat_height", most=1e3)
+        check_range(self, "gravity", most=1e4)
         check_range(self, "length", "mat", "drop", "softness", "gravity", above=0)
         for name in ("height", "width", "schedule", "mat_height"):
             low, high = getattr(self, name)

@@ -57,7 +57,7 @@ class Attempt(Memory):
         tolerance: float = 0.003  #: m above a surface that still touches it
 
         def __post_init__(self) -> None:
-            check_range(self, "behind", "tolerance", least=0)
+            check_range(self, "behind", "tolerance", least=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "memory 'jumping/attempt'"
@@ -189,6 +189,9 @@ class Jump(Fields):
     @dataclass(frozen=True)
     class Options:
         limit: tuple[float, float] = (48.0, 15.0)  #: rad, c_offset at ρ = 0 and 1
+
+        def __post_init__(self) -> None:
+            check_range(self, "limit", least=0, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "fields 'jumping/jump'"

@@ -112,6 +112,8 @@ class Accumulated(Curriculum):
                     f"'curriculum/{name}' is of {self._options.groups} groups here and "
                     f"{len(state[name])} there"
                 )
+        if not all(float(difficulty) >= 0 for difficulty in state["difficulty"]):
+            raise ValueError(f"'curriculum/difficulty' cannot be {state['difficulty']}")
         self._difficulty = [min(self._target, float(d)) for d in state["difficulty"]]
         self._sums = [float(total) for total in state["sums"]]
         self._set()

@@ -39,8 +39,8 @@ class Distance:
     ahead: float = 0.8  #: m, nearer by so much straight in front of the obstacle
 
     def __post_init__(self) -> None:
-        check_range(self, "near", "far", above=0)
-        check_range(self, "ahead", least=0)
+        check_range(self, "near", "far", above=0, most=1e3)
+        check_range(self, "ahead", least=0, most=1e3)
 
     def at(self, rho: Tensor, alpha: Tensor) -> Tensor:
         """(N,)"""
@@ -70,7 +70,7 @@ class Takeoffs(InitialStates):
         noise: float = 0.02
 
         def __post_init__(self) -> None:
-            check_range(self, "noise", least=0)
+            check_range(self, "noise", least=0, most=1e3)
             if "takeoff" in self.others:
                 raise ValueError(
                     "others.takeoff is not possible: that is the name of the first one."
@@ -127,6 +127,9 @@ class Harvested(InitialStates):
         file: str  #: the bank, or the folder of the run that has one
         alpha: float = -0.05  #: rad, as :class:`~understudy_jumping.takeoff.Takeoff` has it
         distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
+
+        def __post_init__(self) -> None:
+            check_range(self, "alpha", least=-100, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/harvested'"

@@ -75,6 +75,7 @@ class Arrival(Fields):
 
         def __post_init__(self) -> None:
             check_range(self, "at", above=0)
+            check_range(self, "v_z", "omega", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         layout = context.need_scene(CharacterScene, "fields 'jumping/arrival'").layout

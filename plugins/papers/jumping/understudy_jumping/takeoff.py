@@ -35,7 +35,9 @@ class Takeoff:
     forward: float = 4.5  #: m/s, of the root; not explored
 
     def __post_init__(self) -> None:
-        check_range(self, "forward", least=0)
+        check_range(self, "forward", least=0, most=1e3)
+        check_range(self, "v_z", "omega_x", "omega_y", "omega_z", least=-1e3, most=1e3)
+        check_range(self, "alpha", least=-100, most=100)
 
     @property
     def features(self) -> tuple[float, ...]:

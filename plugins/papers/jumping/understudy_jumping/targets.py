@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import check_range
+from understudy.options import as_yaml, check_range
 from understudy.task import Actuation, Context, box
 from understudy_characters.scene import CharacterScene
 from understudy_characters.target_limits import Range, check_axes, servo_axes, target_limits
@@ -44,7 +44,12 @@ class Targets(Actuation):
         rest: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
-            check_range(self, "margin", least=0)
+            check_range(self, "margin", least=0, most=100)
+            for joint, angles in self.rest.items():
+                if not all(abs(angle) <= 100 for angle in angles):
+                    raise ValueError(
+                        f"rest.{joint}={as_yaml(angles)} is not possible: its rad lie between -100 and 100."
+                    )
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "actuation 'jumping/targets'")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from understudy_tensors.limits import limits
+
 
 def crashed(crashed: Tensor) -> Tensor:
     """It has touched what it must not."""
@@ -16,6 +18,7 @@ def landed(landed: Tensor) -> Tensor:
     return landed != 0
 
 
+@limits(scale=(0, 1e6))
 def spin(
     mean_spin: Tensor,
     *,
@@ -26,6 +29,7 @@ def spin(
     return torch.exp(-scale * mean_spin)
 
 
+@limits(unsafe=(0, 1))
 def safety(
     head_first: Tensor,
     *,
@@ -41,6 +45,7 @@ def fell(came_down: Tensor, landed: Tensor) -> Tensor:
     return (came_down != 0) & (landed == 0)
 
 
+@limits(fallen=(0, 1))
 def feet_first(
     on_feet: Tensor,
     *,

@@ -14,6 +14,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, Shape, box
 from understudy.task.terms import ranges
+from understudy_tensors.limits import limits
 from understudy_tensors.simulator import TensorSimulator
 
 
@@ -27,7 +28,7 @@ class GrainsScene(Scene):
 
         def __post_init__(self) -> None:
             check_range(self, "grains", least=1, most=1000)
-            check_range(self, "tool", above=0)
+            check_range(self, "tool", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -82,7 +83,8 @@ class Clusters(InitialStates):
 
         def __post_init__(self) -> None:
             check_range(self, "clusters", least=1, most=1000)
-            check_range(self, "table", "size", above=0)
+            check_range(self, "table", "size", above=0, most=1e3)
+            check_range(self, "tool", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(GrainsScene, "initial_states 'miniature/clusters'")
@@ -113,6 +115,9 @@ class Heap(Fields):
     class Options:
         goal: tuple[float, float] = (1.0, 0.0)  #: m, where the grains should be
 
+        def __post_init__(self) -> None:
+            check_range(self, "goal", least=-1e3, most=1e3)
+
     def __init__(self, options: Options, context: Context) -> None:
         self._goal = torch.tensor(options.goal, device=context.device)
 
@@ -140,7 +145,8 @@ class DensityMap(Encoder):
 
         def __post_init__(self) -> None:
             check_range(self, "pixels", least=2, most=1000)
-            check_range(self, "width", above=0)
+            check_range(self, "width", above=0, most=1e3)
+            check_range(self, "goal", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         half = 0.5 * options.width
@@ -208,6 +214,7 @@ class ToolTarget(Actuation):
         return tool_velocity
 
 
+@limits(scale=(-1e6, 1e6))
 @ranges(-math.inf, math.inf)
 def gathered(
     spread: Tensor,

@@ -11,6 +11,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, Fields, box
 from understudy.task.terms import ranges
+from understudy_tensors.limits import limits
 
 
 class Bar(Fields):
@@ -29,7 +30,9 @@ class Bar(Fields):
         high: float = 0.5  #: m, at difficulty 1
 
         def __post_init__(self) -> None:
+            check_range(self, "low", most=1e3)
             check_range(self, "low", "high", above=0)
+            check_range(self, "high", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
@@ -77,6 +80,7 @@ class Legs(Actuation):
         length: float = 0.15  #: m above the floor at which there is nothing to push against
 
         def __post_init__(self) -> None:
+            check_range(self, "length", most=1e3)
             check_range(self, "strength", "length", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -102,6 +106,7 @@ def height(passed: Tensor, bar_clearance: Tensor) -> Tensor:
     return torch.where(passed != 0, bar_clearance, -1.0)
 
 
+@limits(scale=(1e-9, 1e3))
 def completion(
     passed: Tensor,
     bar_clearance: Tensor,
@@ -117,6 +122,7 @@ def completion(
     return passed * torch.exp(bar_clearance.clamp(max=0) / scale - mean_effort)
 
 
+@limits(scale=(-1e6, 1e6))
 @ranges(-math.inf, math.inf)
 def forward(
     velocity: Tensor,

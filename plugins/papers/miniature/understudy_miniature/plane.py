@@ -19,6 +19,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, Shape, box
 from understudy_miniature.drawing import draw_points
+from understudy_tensors.limits import limits
 from understudy_tensors.simulator import TensorSimulator
 
 
@@ -37,6 +38,8 @@ class PlaneScene(Scene):
         stiffness: float = 40.0  #: N/m, from 0, of each spring
 
         def __post_init__(self) -> None:
+            check_range(self, "drag", "gravity", most=1e4)
+            check_range(self, "stiffness", most=1e8)
             check_range(self, "bodies", "pushed", least=1, most=1000)
             check_range(self, "pushed", most=self.bodies)
             check_range(self, "drag", "gravity", "stiffness", least=0)
@@ -122,6 +125,11 @@ class Somewhere(InitialStates):
         flat: bool = False  #: all at the centre's height
         drag: tuple[float, float] | None = None  #: 1/s, its range among worlds; null: the scene's
 
+        def __post_init__(self) -> None:
+            check_range(self, "centre", "run_up", least=-1e3, most=1e3)
+            check_range(self, "spread", "speed", least=0, most=1e3)
+            check_range(self, "drag", least=0, most=1e4)
+
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(PlaneScene, "initial_states 'miniature/somewhere'")
         self._options, self._bodies = options, scene.options.bodies
@@ -182,6 +190,9 @@ class Place(Fields):
     @dataclass(frozen=True)
     class Options:
         at: tuple[float, float]  #: m, where it is
+
+        def __post_init__(self) -> None:
+            check_range(self, "at", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._at = torch.tensor(options.at, device=context.device)
@@ -251,6 +262,7 @@ class Force(Actuation):
         return self._limit * torch.tanh(action)
 
 
+@limits(scale=(1e-9, 1e3))
 def near(
     distance: Tensor,
     *,
@@ -261,6 +273,7 @@ def near(
     return torch.exp(-distance / scale)
 
 
+@limits(scale=(1e-9, 1e3))
 def slow(
     velocity: Tensor,
     *,

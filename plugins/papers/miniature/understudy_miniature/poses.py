@@ -48,7 +48,7 @@ class Arcs(Poses):
 
         def __post_init__(self) -> None:
             check_range(self, "joints", least=1, most=1000)
-            check_range(self, "bend", "wave", least=0)
+            check_range(self, "bend", "wave", least=0, most=100)
 
     def __init__(self, options: Options) -> None:
         self._options, self.joints = options, options.joints

@@ -22,7 +22,7 @@ class Contact(Fields):
         speed: float = 0.3  #: m/s, above 0, below which it is at rest
 
         def __post_init__(self) -> None:
-            check_range(self, "radius", "speed", above=0)
+            check_range(self, "radius", "speed", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options

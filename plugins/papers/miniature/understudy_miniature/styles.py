@@ -25,6 +25,7 @@ from understudy.task import (
     Shape,
 )
 from understudy_miniature.poses import trained_decoder
+from understudy_tensors.limits import limits
 from understudy_tensors.simulator import TensorSimulator
 
 
@@ -38,6 +39,7 @@ class ArmScene(Scene):
         lag: float = 0.1  #: s, time constant with which a joint follows its target
 
         def __post_init__(self) -> None:
+            check_range(self, "length", most=1e3)
             check_range(self, "joints", least=1, most=1000)
             check_range(self, "length", "lag", above=0)
 
@@ -129,8 +131,9 @@ class DecodedPose(Actuation):
         dead: float = 0.1  #: rad, the size of an offset below which it is none
 
         def __post_init__(self) -> None:
+            check_range(self, "offset_scale", most=100)
             check_range(self, "code_scale", "offset_scale", above=0)
-            check_range(self, "dead", least=0)
+            check_range(self, "dead", least=0, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         assert context.simulator is not None
@@ -161,6 +164,7 @@ class DecodedPose(Actuation):
         return self._decoder(code) + self._offset(action)
 
 
+@limits(scale=(1e-9, 1e3))
 def sparse(
     pose_offset: Tensor,
     *,

@@ -41,10 +41,11 @@ class Guidance(Fields):
         ramp: float = 0.5  #: s, above 0, in which the target velocity rises from 0
 
         def __post_init__(self) -> None:
-            check_range(self, "stiffness", least=0)
+            check_range(self, "stiffness", least=0, most=1e8)
             check_range(self, "ratio", above=0, most=1)
             check_range(self, "lessons", least=1, most=1000)
             check_range(self, "lesson_seconds", "ramp", above=0)
+            check_range(self, "velocity", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options

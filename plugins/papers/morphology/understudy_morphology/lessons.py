@@ -12,7 +12,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
-from understudy_curricula.episodes import totals
+from understudy_curricula.episodes import number_in, totals
 
 
 class Lessons(Curriculum):
@@ -129,5 +129,5 @@ class Lessons(Curriculum):
     def load_state_dict(self, state: State) -> None:
         self._standard = state["standard"]
         self._sums.copy_(state["sums"])
-        self._move(state["difficulty"])
-        self._best, self._since = state["best"], state["since"]
+        self._move(number_in(state, "difficulty", most=1.0))
+        self._best, self._since = state["best"], number_in(state, "since")

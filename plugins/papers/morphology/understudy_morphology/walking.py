@@ -18,6 +18,7 @@ from understudy.task import Context, Encoder, Fields, InitialStates, Memory, Sha
 from understudy_morphology.assistance import torques
 from understudy_morphology.figure import FEET, TORSO
 from understudy_morphology.scene import ROOT_POSITIONS, WalkerScene
+from understudy_tensors.limits import limits
 from understudy_tensors.rotations import heading, tangent_normal
 
 
@@ -152,6 +153,7 @@ def normalised(
     return value / steps
 
 
+@limits(low=(0, 1), limit=(0, 100))
 def fallen(
     height: Tensor,
     lean: Tensor,
@@ -211,7 +213,7 @@ class Standing(InitialStates):
         noise: float = 0.05  #: largest deviation: rad, m/s and rad/s
 
         def __post_init__(self) -> None:
-            check_range(self, "noise", least=0)
+            check_range(self, "noise", least=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(WalkerScene, "initial_states 'morphology/standing'")

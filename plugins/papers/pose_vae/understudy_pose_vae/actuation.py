@@ -41,6 +41,7 @@ class PoseOffset(Actuation):
         limits: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
+            check_range(self, "offset_scale", "offset_limit", most=100)
             check_range(self, "latent_scale", "offset_scale", "offset_limit", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

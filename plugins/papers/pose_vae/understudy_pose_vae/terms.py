@@ -16,8 +16,10 @@ from understudy.task import Context, Memory, Shape
 from understudy_characters.scene import CharacterScene
 from understudy_pose_vae.job import POSES, trained_poses
 from understudy_tensors import rotations
+from understudy_tensors.limits import limits
 
 
+@limits(limit=(1e-9, 1e3))
 def naturalness(
     offset_norm: Tensor,
     offset_limit: Tensor | None = None,

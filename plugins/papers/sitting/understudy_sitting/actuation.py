@@ -42,6 +42,7 @@ class AroundClip(Actuation):
         lag: float | None = None  #: s, the time constant; null follows at once
 
         def __post_init__(self) -> None:
+            check_range(self, "least", most=100)
             check_range(self, "least", "lag", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

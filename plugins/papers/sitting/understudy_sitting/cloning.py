@@ -39,6 +39,7 @@ class AfterClip(Learner):
         least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
 
         def __post_init__(self) -> None:
+            check_range(self, "least", most=100)
             check_range(self, "rollout_steps", "keep", "steps", "batch_size", least=1)
             check_range(self, "learning_rate", "least", above=0)
 

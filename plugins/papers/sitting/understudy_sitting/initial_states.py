@@ -119,6 +119,7 @@ class FromReference(InitialStates):
         chairs: Chairs = Chairs()  #: sizes from which the chair's is drawn
 
         def __post_init__(self) -> None:
+            check_range(self, "metres", most=1e3)
             check_range(self, "first", least=0, most=1)
             check_range(self, "metres", "degrees", least=0)
             if not 0 <= self.span[0] <= self.span[1] <= 1:
@@ -195,6 +196,7 @@ class WhereOthersEnded(InitialStates):
 
         def __post_init__(self) -> None:
             check_range(self, "share", least=0, most=1)
+            check_range(self, "speed", least=0, most=100)
             check_range(self, "metres", "degrees", least=0)
             if not 0 <= self.speed[0] <= self.speed[1]:
                 raise ValueError(f"speed={self.speed} is not possible: give two numbers, rising.")
@@ -263,6 +265,7 @@ class AtChair:
     degrees: float = 180.0  #: off the direction in which the chair faces, to each side
 
     def __post_init__(self) -> None:
+        check_range(self, "ahead", "aside", most=1e3)
         check_range(self, "share", least=0, most=1)
         check_range(self, "aside", "degrees", least=0)
         if not 0 <= self.ahead[0] <= self.ahead[1]:
@@ -301,9 +304,10 @@ class AroundChair(InitialStates):
         at_chair: AtChair = AtChair()  #: of starts near the chair
 
         def __post_init__(self) -> None:
+            check_range(self, "spread", most=1e3)
             check_range(self, "zone", least=1, most=len(ZONES))
             check_range(self, "keep", least=0, most=1)
-            check_range(self, "distance", above=0)
+            check_range(self, "distance", above=0, most=1e3)
             check_range(self, "spread", "degrees", least=0)
             if self.sector is not None:
                 check_range(self, "sector", above=0, most=ZONES[0])

@@ -18,6 +18,7 @@ from understudy_sitting.actuation import units
 from understudy_sitting.chair import FEET, Chair, Soles
 from understudy_sitting.state import chair_of
 from understudy_tensors import rotations
+from understudy_tensors.limits import limits
 
 _GRAVITY = 9.81  #: m/s²
 
@@ -153,7 +154,7 @@ class Descent(Memory):
         low: float = 0.72  #: m of the pelvis above the floor, which stands at 0.88 m
 
         def __post_init__(self) -> None:
-            check_range(self, "low", above=0)
+            check_range(self, "low", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._low, self._dt = options.low, context.control_dt
@@ -194,6 +195,7 @@ class Descent(Memory):
         }
 
 
+@limits(scale=(0, 1e6))
 def planted(
     feet_speed: Tensor,
     feet_down: Tensor,
@@ -205,6 +207,7 @@ def planted(
     return (feet_down * torch.exp(-scale * feet_speed.square())).mean(1)
 
 
+@limits(most=(0, 1e3), scale=(0, 1e6))
 def unhurried(
     pelvis_fall: Tensor,
     *,
@@ -227,6 +230,7 @@ class Servos:
         least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
 
         def __post_init__(self) -> None:
+            check_range(self, "least", most=100)
             check_range(self, "alpha", "least", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

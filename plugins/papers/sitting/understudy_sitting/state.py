@@ -256,7 +256,7 @@ class Seat(Fields):
 
         def __post_init__(self) -> None:
             check_range(self, "upright", "facing", above=0, most=180)
-            check_range(self, "within", above=0)
+            check_range(self, "within", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "fields 'sitting/seat'")

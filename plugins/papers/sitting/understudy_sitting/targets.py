@@ -31,8 +31,9 @@ class TargetAhead(Memory):
         degrees: float = 60.0  #: 0 to 180, off straight ahead, to each side
 
         def __post_init__(self) -> None:
+            check_range(self, "within", "near", most=1e3)
             check_range(self, "every", "within", "near", above=0)
-            check_range(self, "far", least=self.near)
+            check_range(self, "far", least=self.near, most=1e3)
             check_range(self, "degrees", least=0, most=180)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -76,7 +77,10 @@ class TargetByChair(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        ahead: float = 0.0  #: where a policy that has learned nothing walks to
+        ahead: float = 0.0  #: m: where a policy that has learned nothing walks to
+
+        def __post_init__(self) -> None:
+            check_range(self, "ahead", least=-1e3, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._origin = torch.tensor([options.ahead, 0.0], device=context.device)

@@ -11,9 +11,11 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context
 from understudy.task.terms import ranges
+from understudy_tensors.limits import limits
 from understudy_tensors.rotations import wrapped
 
 
+@limits(alpha=(0, 1e6))
 def pose(
     joint_coordinates: Tensor,
     reference_joint_coordinates: Tensor,
@@ -26,6 +28,7 @@ def pose(
     return torch.exp(-alpha * away.square().sum(dim=1))
 
 
+@limits(alpha=(0, 1e6))
 def velocity(
     joint_velocities: Tensor,
     reference_joint_velocities: Tensor,
@@ -37,6 +40,7 @@ def velocity(
     return torch.exp(-alpha * (joint_velocities - reference_joint_velocities).square().sum(dim=1))
 
 
+@limits(scale=(0, 1e6), until=(0, 1))
 def steering(
     torso_velocity: Tensor,
     reference_torso_velocity: Tensor,
@@ -70,6 +74,7 @@ class Approach:
 
         def __post_init__(self) -> None:
             check_range(self, "scale", above=0)
+            check_range(self, "since", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._dt = options, context.control_dt * context.decision
@@ -100,6 +105,7 @@ def _when(
     return value
 
 
+@limits(scale=(0, 1e6))
 def turning(
     torso_angles: Tensor,
     reference_torso_angles: Tensor,
@@ -132,6 +138,9 @@ class SitDown:
         seated: float = 1.0  #: reward of a decision that ends so
         nearing: float = 0.5  #: s/m: what coming nearer by 1 m/s is worth (eq. 8)
 
+        def __post_init__(self) -> None:
+            check_range(self, "seated", "nearing", least=-1e6)
+
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._dt = options, context.control_dt * context.decision
 
@@ -142,6 +151,7 @@ class SitDown:
         return torch.where(seated > 0, self._options.seated, self._options.nearing * nearing)
 
 
+@limits(height=(0, 1e3))
 def low(
     torso_position: Tensor,
     *,
@@ -152,6 +162,7 @@ def low(
     return torso_position[:, 2] < height
 
 
+@limits(degrees=(0, 180))
 def off_course(
     torso_angles: Tensor,
     reference_torso_angles: Tensor,

@@ -7,7 +7,6 @@ Where a curriculum provides ``bound_scales`` (:mod:`understudy_spacetime.adaptiv
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -23,6 +22,8 @@ Size = float | list[list[float]]
 
 #: A bound of size 0 lets nothing be told apart; this share of a unit does.
 _LEAST = 1e-3
+#: And nothing is ever beyond this, in m or rad.
+_MOST = 1e3
 
 
 class BoundSize:
@@ -42,9 +43,9 @@ class BoundSize:
             raise ConfigError(
                 f"{who}: size={size} is not possible: a number or [[phase, size], …]."
             )
-        if not all(0.0 <= value < math.inf for _, value in knots):
+        if not all(0.0 <= value <= _MOST for _, value in knots):
             raise ConfigError(
-                f"{who}: size={size} is not possible: sizes are finite, and 0 or more."
+                f"{who}: size={size} is not possible: sizes are 0 or more, and at most {_MOST:g}."
             )
         if any(not 0.0 <= phase <= 1.0 for phase, _ in knots):
             raise ConfigError(f"{who}: size={size} is not possible: phases go from 0 to 1.")

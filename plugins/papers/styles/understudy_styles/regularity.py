@@ -71,6 +71,8 @@ class Regularity:
         joint: float = 200.0  #: β of the joints' accelerations, rad/s², above 0
 
         def __post_init__(self) -> None:
+            check_range(self, "link", most=1e4)
+            check_range(self, "joint", most=1e5)
             check_range(self, "energy", "link", "joint", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from understudy_tensors.limits import limits
 
+
+@limits(least=(0, 1e6), most=(0, 1e6))
 def low_energy(
     kinetic_energy: Tensor,
     *,
@@ -18,6 +21,7 @@ def low_energy(
     return ((most - kinetic_energy) / (most - least)).clamp(0.0, 1.0)
 
 
+@limits(least=(0, 1e6), most=(0, 1e6))
 def high_energy(
     kinetic_energy: Tensor,
     *,
@@ -30,6 +34,7 @@ def high_energy(
     return ((kinetic_energy - least) / (most - least)).clamp(0.0, 1.0)
 
 
+@limits(scale=(1e-9, 1e3))
 def small_volume(
     hull_volume: Tensor,
     *,
@@ -40,6 +45,7 @@ def small_volume(
     return torch.exp(-hull_volume / scale)
 
 
+@limits(scale=(1e-9, 1e3))
 def large_volume(
     hull_volume: Tensor,
     *,
@@ -50,6 +56,7 @@ def large_volume(
     return 1.0 - torch.exp(-hull_volume / scale)
 
 
+@limits(scale=(1e-9, 1e6))
 def near(
     gram_distance: Tensor,
     *,

@@ -34,9 +34,14 @@ class Fabric:
     gap: float = 0.003  #: m between the cloth's middle and a body's surface
 
     def __post_init__(self) -> None:
+        check_range(self, "density", most=100)
+        check_range(self, "stretch", "shear", most=1e8)
+        check_range(self, "bending", most=1e5)
+        check_range(self, "damping", most=1e4)
+        check_range(self, "gap", most=1e3)
         check_range(self, "density", "stretch", "shear", above=0)
         check_range(self, "bending", "damping", "friction", "gap", least=0)
-        check_range(self, "thickness", above=0)
+        check_range(self, "thickness", above=0, most=1e3)
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,7 @@ class Contact:
         check_range(self, "noslip_iterations", least=0)
         if self.integrator == "discrete" and self.noslip_iterations:
             raise ValueError(f"noslip_iterations={self.noslip_iterations} {_NO_NOSLIP}")
+        check_range(self, "solref", most=1e3)
         if self.solref is not None and min(self.solref) <= 0:
             raise ValueError(f"solref={list(self.solref)} is not possible: both must be positive.")
         if self.solimp is not None:

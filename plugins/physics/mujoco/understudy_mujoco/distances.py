@@ -39,7 +39,7 @@ class Distances(Fields):
         most: float = 1.0  #: m: what is farther counts as so far
 
         def __post_init__(self) -> None:
-            check_range(self, "most", above=0)
+            check_range(self, "most", above=0, most=1e3)
             if not self.between:
                 raise ValueError("between={} is not possible: name two groups of geoms.")
             for name, pair in self.between.items():

@@ -43,7 +43,7 @@ class SearchOptions:
     def __post_init__(self) -> None:
         check_paths(self.parameters)
         check_range(self, "trials", least=1)
-        check_range(self, "budget", "sample_scale", above=0)
+        check_range(self, "budget", "sample_scale", above=0, most=2**53)
         check_range(self, "initial", least=1)
         check_range(self, "ceiling", above=0)
         if self.ceiling is not None and self.sample_scale is None:

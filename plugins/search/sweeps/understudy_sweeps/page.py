@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import math
-import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,8 @@ from typing import Any
 from markupsafe import Markup
 
 from understudy import __version__
-from understudy.errors import UnderstudyError
+from understudy.command.command import tell
+from understudy.errors import UnderstudyError, said
 from understudy.folders import read, write_atomically
 from understudy.setup.config import Experiment
 from understudy_report.markup import piece
@@ -89,9 +89,9 @@ class Page:
             if results:
                 self._write(results)
         except UnderstudyError as error:
-            print(f"No page: {error}", file=sys.stderr)
+            tell(f"No page: {error}")
         except Exception as error:  # what is shown may come from any plugin
-            print(f"No page: {type(error).__name__}: {error}", file=sys.stderr)
+            tell(f"No page: {said(error)}")
 
     def keep_up(self, journal: Journal, summary: Sequence[Row] = ()) -> None:
         """:meth:`write`, but for at most a twentieth of the time: with hundreds of trials it takes ever longer, and trials may
@@ -110,7 +110,7 @@ class Page:
                 page: SweepPage = registry.find("sweep_page", name).factory()
                 path = page.write(self.folder, self._title, experiment, journal)
             except Exception as error:  # it comes from any plugin
-                print(f"No {name}: {type(error).__name__}: {error}", file=sys.stderr)
+                tell(f"No {name}: {said(error)}")
                 continue
             found += [path] if path is not None else []
         return found
@@ -132,7 +132,7 @@ class Page:
             self._film = tiles, reason
             return
         if any(tile.recording.exists() for tile in tiles):
-            print("Drawing the video …", file=sys.stderr)
+            tell("Drawing the video …")
         try:
             make_film(self.folder / "film.mp4", tiles)
         except UnderstudyError as error:
