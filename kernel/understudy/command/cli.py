@@ -67,7 +67,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 # No file in particular: no folder was found for temporary files.
                 error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
-                raise
+                if (fault := plugins.installed().registry.fault_of(error)) is None:
+                    raise
+                error = fault
+            if os.environ.get("UNDERSTUDY_TRACEBACK"):
+                traceback.print_exc()
             with contextlib.suppress(OSError):  # a closed terminal; and a message may be long
                 print(f"understudy: {shown(str(error)):.10000}", file=sys.stderr, flush=True)
             return error.exit_status

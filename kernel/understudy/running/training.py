@@ -118,10 +118,11 @@ class Training:
             progress = {"pending": {}, **state["progress"]}
             for misfit in checkpoint.misshapen(own, {**state, "progress": progress}, ""):
                 raise ValueError(misfit)
-            counts = {n: progress[n] for n, own in vars(Progress()).items() if type(own) is int}
-            counts["evaluated_at"] = abs(counts["evaluated_at"])  # set back, maybe below 0
-            if wrong := [f"{n}={c}" for n, c in counts.items() if type(c) is not int or c < 0]:
-                raise ValueError(f"'progress' cannot be {wrong[0]}")
+            numbers = progress | {"evaluated_at": abs(progress["evaluated_at"])}  # maybe below 0
+            for name, number in vars(Progress()).items():
+                fits = type(found := numbers[name]) in (int, type(number))
+                if type(number) in (int, float) and not (fits and 0 <= found < 2**63):
+                    raise ValueError(f"'progress' cannot be {name}={found}")
             load(state)
             self.progress = Progress(**progress)
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:

@@ -176,6 +176,6 @@ def providers_of(field: str, registry: Registry) -> Iterator[str]:
     """The registered components that declare that they provide the state field `field`."""
     for (kind, name), component in registry.components.items():
         if kind in _GIVES:
-            with contextlib.suppress(PluginError):  # one that cannot be imported is no advice
+            with contextlib.suppress(PluginError, TypeError):  # what cannot be used is no advice
                 if field in (getattr(component.factory, _GIVES[kind], None) or {}):
                     yield f"{kind} '{name}'"

@@ -336,8 +336,7 @@ class Registrar:
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section, and what builds an object from it."""
-        schema = Component("section", name, options, self.plugin)
-        maker = Component("section", name, build, self.plugin)
+        schema, maker = (self._component("section", name, target) for target in (options, build))
         section = Section(name, schema, maker, self.plugin)
         self._add("section", self.registry.sections, name, section)
 

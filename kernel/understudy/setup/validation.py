@@ -134,6 +134,8 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     with component.guarded("has options that cannot be read"):
         if (schema := getattr(component.factory, "Options", None)) is not None:
             checked = filled(schema, checked, where)
+        elif (limits := getattr(component.factory, "limits", None)) is not None:
+            filled(limits, checked, where)
     # A function has keyword-only parameters for options; a class without Options has none.
     return Chosen(name, component, checked or None, where, extras)
 

@@ -66,6 +66,7 @@ class Lead(Leading):
             check_range(self, "lowers", "most", "out", least=0.1, most=10)
             check_range(self, "speed", least=0.05, most=5)
             check_range(self, "enough", least=0.01, most=0.6)
+            check_range(self, "elbow", least=-1e3, most=1e3)
             check_range(self, "goes", least=0.1, most=10)
             if self.taken and not self.held:
                 raise ValueError("taken=true is not possible with held=false: give held=true, too.")
