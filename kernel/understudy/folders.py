@@ -53,8 +53,7 @@ def open_lock(path: Path) -> io.FileIO:
 
 @contextlib.contextmanager
 def opened(path: Path, most: int = DOCUMENT) -> Iterator[io.BufferedReader]:
-    """The file at `path`, open for reading; an OSError if it cannot be opened, is no file, or is
-    larger than `most` bytes."""
+    """The file at `path`, open for reading; an OSError if it cannot be, is no file, or too large."""
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         found = os.fstat(file.fileno())
         if stat.S_ISDIR(found.st_mode):

@@ -111,12 +111,6 @@ def _text(name: str) -> str:
     return (plugins.kernel_conf() / name).read_text(encoding="utf-8")
 
 
-def _instead(word: str) -> str:
-    """What to write instead of Hydra's own option `word`; "" if it is none."""
-    lines = (line.partition(": ") for line in _text("hydra.txt").splitlines())
-    return next((advice for options, _, advice in lines if word in options.split()), "")
-
-
 def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
     """Raise :class:`ConfigError` for `words` that the `command` does not take."""
     for word, following in zip(words, [*words, ""][1:], strict=True):

@@ -39,5 +39,4 @@ class Command(ABC):
 
     @abstractmethod
     def run(self, options: argparse.Namespace) -> int:
-        """Carry it out; returns the exit status. Errors that a user can cause are
-        UnderstudyErrors."""
+        """Carry it out; returns the exit status. What a user can cause raises UnderstudyErrors."""

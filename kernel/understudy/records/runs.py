@@ -109,8 +109,7 @@ class Run:
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 
     def lock(self) -> None:
-        """Hold the folder for this process; a RunError if another does, or a link leads out of
-        it."""
+        """Hold the folder for this process; a RunError if another does, or a link leads out."""
         try:
             check_within(self.path)
             self._lock = open_lock(self.path / ".lock")  # held until the run ends

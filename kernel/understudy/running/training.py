@@ -145,8 +145,7 @@ class Training:
 
     def resume(self) -> None:
         """Load the newest intact checkpoint of the run; a run that was stopped before its first one
-        starts from the beginning. A RunError if the checkpoint is not of a training, or does not
-        fit, or if a training that was under way has none left."""
+        starts anew. A RunError if it is not of a training, does not fit, or is lost."""
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():

@@ -190,8 +190,7 @@ def kernel_conf() -> Path:
 
 
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
-    """By plugin: the error for a config option that cannot be read, or that the kernel or an
-    earlier plugin provides already."""
+    """By plugin: the error for a config option that cannot be read, or that is provided already."""
     owner, faults = dict[str, str](), dict[str, BaseException]()
     bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
     for name, directory in plugins.folders():

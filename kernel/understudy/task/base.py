@@ -70,8 +70,7 @@ class Context:
         return self._shared[key]
 
     def need_scene(self, kind: type[T], who: str) -> T:
-        """The scene, or its one member, that is a `kind`; else a ConfigError that `who` needs
-        it."""
+        """The scene, or its one member, that is a `kind`; else a ConfigError that `who` needs it."""
         scenes = [self.scene, *(self.scene.members.values() if self.scene else ())]
         found = [scene for scene in scenes if isinstance(scene, kind)]
         if len(found) != 1:

@@ -37,8 +37,7 @@ class Fields(ABC):
 
 
 class Encoder(ABC):
-    """Turns state fields into one observation tensor (N, …). A pure function, not a network:
-    networks belong to the policy."""
+    """Turns state fields into one observation (N, …). A pure function; networks are the policy's."""
 
     reads: tuple[str, ...]
     #: Shape of the observation without N.

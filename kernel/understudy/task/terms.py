@@ -47,8 +47,7 @@ def renamed(
 
 
 def ranges(low: float, high: float) -> Callable[[T], T]:
-    """Declares the range of a reward term, a function or a class. A product of rewards refuses
-    terms that can be negative."""
+    """Declares the range of a reward term. A product of rewards refuses what can be negative."""
 
     def declare(term: T) -> T:
         term.range = (low, high)  # type: ignore[attr-defined]
