@@ -22,27 +22,27 @@ UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno
 def check_within(folder: Path) -> None:
     """Check `folder` before anything in it is opened: a RunError names the first part that resolves
     outside of it, or is a pipe, a device or a socket."""
-
-    def failed(error: OSError) -> None:
-        if not isinstance(error, FileNotFoundError):  # which another process has just removed
-            raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
-
-    top = os.path.realpath(folder)
-    for above, folders, files in os.walk(folder, onerror=failed):
-        for path in (os.path.join(above, name) for name in (*folders, *files)):
-            try:
-                mode = os.lstat(path).st_mode
-            except OSError as error:
-                failed(error)
-                continue
-            if stat.S_ISLNK(mode):
-                if os.path.commonpath([top, os.path.realpath(path)]) != top:
-                    raise RunError(
-                        f"{path} is a link that leads out of {folder}. Put what it leads to in its "
-                        "place, or remove it."
-                    )
-            elif not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
-                raise RunError(f"{path} is neither file nor folder. Name another folder.")
+    top, waiting = os.path.realpath(folder), [os.fspath(folder)]
+    try:
+        while waiting:
+            with contextlib.suppress(FileNotFoundError):  # which another process has just removed
+                for entry in os.scandir(waiting.pop()):
+                    with contextlib.suppress(FileNotFoundError):
+                        mode = entry.stat(follow_symlinks=False).st_mode
+                        if stat.S_ISDIR(mode):
+                            waiting.append(entry.path)
+                        elif stat.S_ISLNK(mode):
+                            if os.path.commonpath([top, os.path.realpath(entry.path)]) != top:
+                                raise RunError(
+                                    f"{entry.path} is a link that leads out of {folder}. Put what it "
+                                    "leads to in its place, or remove it."
+                                )
+                        elif not stat.S_ISREG(mode):
+                            raise RunError(
+                                f"{entry.path} is neither file nor folder. Name another folder."
+                            )
+    except OSError as error:
+        raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
 
 
 def open_lock(path: Path) -> io.FileIO:

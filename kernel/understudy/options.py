@@ -266,15 +266,16 @@ def check_range(
 ) -> None:
     """For the ``__post_init__`` of a dataclass of options: a ValueError unless each of the options
     `names` is None, or is greater than `above`, at least `least` and at most `most`; so is each
-    value of a tuple. A whole number with a `least` is a size or a count: unless `most` says
-    otherwise, it is at most :data:`MANY`."""
+    value of a tuple or a mapping. Without a `most`, a whole number with a `least`, which is a size
+    or a count, is at most :data:`MANY`, and all else at most 1e12."""
     for name in names:
         given = getattr(options, name)
         several = given.values() if isinstance(given, Mapping) else given
         for value in several if isinstance(given, (tuple, Mapping)) else (given,):
             if value is None:
                 continue
-            end = MANY if most is None else most
+            few = MANY if type(value) is int and least is not None else 1e12
+            end = few if most is None else most
             for limit, holds, how in (
                 (above, above is None or value > above, "greater than"),
                 (least, least is None or value >= least, "at least"),

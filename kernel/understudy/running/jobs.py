@@ -27,8 +27,7 @@ class Judgement(ABC):
     success: str = ""  #: what a success is, in words
     success_rate: float | None = None  #: None if no success is defined
     mean_episode_seconds: float | None = None
-    #: False if it was stopped because the criterion was out of reach; the rate is then an upper
-    #: bound.
+    #: False if it was stopped as the criterion was out of reach; the rate is then an upper bound.
     complete: bool = True
 
     @property
