@@ -252,8 +252,8 @@ def _place(factory: Any) -> str:
     """A line that says in which file `factory` is, from the working folder where it is below that."""
     thing = inspect.unwrap(factory)
     try:
-        # after its decorators
         file, (lines, line) = Path(inspect.getfile(thing)), inspect.getsourcelines(thing)
+        # after its decorators
         line += [bool(re.match(r"\s*(def|class) ", text)) for text in lines].index(True)
     except (OSError, TypeError, ValueError):  # there is no source
         return ""
