@@ -106,17 +106,6 @@ def path_length(
     w_3=(-1e6, 1e6),
     w_4=(-1e6, 1e6),
 )
-@limits(
-    c_1=(0, 1e3),
-    c_2=(-1e6, 1e6),
-    c_3=(0, 1e3),
-    c_4=(0, 1e6),
-    c_5=(0, 1e3),
-    w_1=(-1e6, 1e6),
-    w_2=(-1e6, 1e6),
-    w_3=(-1e6, 1e6),
-    w_4=(-1e6, 1e6),
-)
 @ranges(-math.inf, math.inf)
 def gathering(
     farthest_distance: Tensor,
