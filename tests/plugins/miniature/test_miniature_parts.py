@@ -186,6 +186,10 @@ def test_dressing_begins_in_the_bank_with_what_was_learned(built_on: Path) -> No
     [
         ("job.fields=[darg]", "job.fields names 'darg'.*Did you mean 'drag'"),
         ("job.ending=reaches", "job.ending=reaches is no ending.*Did you mean 'reached'"),
+        (
+            "job.ending=failure",
+            "no episode of .* can end so, .* is a failure .reached..* job.ending=truncation",
+        ),
         ("job.field=drag", "moment=end with field=drag is not possible"),
         ("job.moment=change", "moment=change with field=None is not possible"),
         ("job={moment: change, field: darg}", "job.field=darg is no field.*Did you mean 'drag'"),

@@ -123,19 +123,26 @@ class Harvest(Gathering):
         self.environment = environment = built.environment
         simulator, table = environment.parts.simulator, environment.table
         self._names = self._keeps(self.options.fields, self.options.run)
-        field = self.options.field
+        options, field = self.options, self.options.field
         if field is not None and table.shapes.get(field) != ():
             known = [name for name, shape in table.shapes.items() if shape == ()]
             raise ConfigError(
-                f"job.field={field} is no field of {self.options.run} with one number for a world."
+                f"job.field={field} is no field of {options.run} with one number for a world."
                 + suggestion(field, known)
             )
         terms = {t.name for t in environment.parts.terminations if t.outcome != "report"}
         outcomes = ("success", "failure", "truncation", "any")
-        if self.options.ending not in (*outcomes, *terms):
+        if options.ending not in (*outcomes, *terms):
             raise ConfigError(
-                f"job.ending={self.options.ending} is no ending of {self.options.run}."
-                + suggestion(self.options.ending, [*outcomes, *terms])
+                f"job.ending={options.ending} is no ending of {options.run}."
+                + suggestion(options.ending, [*outcomes, *terms])
+            )
+        met = {t.outcome for t in environment.parts.terminations}
+        if options.moment != "change" and options.ending in {"success", "failure"} - met:
+            raise ConfigError(
+                f"job.ending={options.ending}: no episode of {options.run} can end so, since none of its terminations is a "
+                f"{options.ending} ({', '.join(sorted(terms)) or 'it has none'}). Episodes whose time was over are "
+                "job.ending=truncation; job.ending=any takes all."
             )
         state = newest_state(str(self._source.path))
         curriculum = environment.parts.curriculum
