@@ -329,9 +329,37 @@ def test_side_by_side_gives_what_one_after_the_other_gives() -> None:
         torch.testing.assert_close(value, weights[1][name], rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["actor_rate", "kl_coefficient"])
+@pytest.mark.parametrize("name", ["actor_rate", "kl_coefficient", "updates"])
 def test_a_state_with_a_rate_below_0_is_refused(name: str) -> None:
     """What went on from it went uphill without a word."""
     _, learner = make(ADAM)
     with pytest.raises(ValueError, match=f"'{name}' is -1, below 0"):
         learner.load_state_dict({**learner.state_dict(), name: -1.0})
+
+
+def test_the_critic_learns_first() -> None:
+    """An actor that came without its critic stays as it is until values mean something, also over a pause."""
+    options = ADAM | MILD | {"critic_first": 3, "target_kl": 0.02}
+    line, learner = make(options)
+    actor = [p.clone() for p in line.policy.actor_parameters()]
+    critic = [p.clone() for p in line.policy.critic_parameters()]
+    rows = train(line, learner.update, STEPS, 2)
+    assert [row["actor_learning_rate"] for row in rows] == [0.0, 0.0]
+    assert rows[1]["kl_coefficient"] == KLPenalty().coefficient, "nothing to adapt it by"
+    other, paused = make(options)
+    other.policy.load_state_dict(line.policy.state_dict())
+    paused.load_state_dict(learner.state_dict())
+    (third,) = train(other, paused.update, STEPS, 1)
+    assert third["actor_learning_rate"] == 0
+    assert all(map(torch.equal, actor, other.policy.actor_parameters()))
+    assert not any(map(torch.equal, critic, other.policy.critic_parameters()))
+    (fourth,) = train(other, paused.update, STEPS, 1)
+    assert fourth["actor_learning_rate"] > 0
+    assert not any(map(torch.equal, actor, other.policy.actor_parameters()))
+
+
+def test_checkpoints_of_before_do_not_begin_with_the_critic_anew() -> None:
+    line, learner = make(ADAM | {"critic_first": 3})
+    learner.load_state_dict({k: v for k, v in learner.state_dict().items() if k != "updates"})
+    (row,) = train(line, learner.update, STEPS, 1)
+    assert row["actor_learning_rate"] > 0

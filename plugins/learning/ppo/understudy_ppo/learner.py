@@ -75,6 +75,9 @@ class PPO(Learner):
         #: above 0; 1e-4 suits Adam (the thesis has plain gradient descent)
         actor_learning_rate: float = 1e-4
         critic_learning_rate: float = 1e-3  #: of the critic's optimiser, above 0
+        #: The first iterations, in which the critic learns alone. For an actor that comes from another run without its
+        #: critic (``start.parts``): advantages mean nothing until the critic has learned its values.
+        critic_first: int = 0
         entropy_weight: float = 0.0  #: of the mean entropy, added to the objective; from 0
         #: Of the critic's mean squared error. It counts for sgd alone; Adam's steps have no scale.
         value_weight: float = 1.0
@@ -95,6 +98,7 @@ class PPO(Learner):
             check_range(self, "epochs", "minibatches", "patience", least=1)
             check_range(self, "rollout_steps", least=1, most=100_000)
             check_range(self, "batch_size", least=2)
+            check_range(self, "critic_first", least=0)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)
             check_range(self, "max_gradient_norm", "target_kl", "value_weight", above=0)
@@ -125,6 +129,7 @@ class PPO(Learner):
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
         self._rate = options.actor_learning_rate
+        self._updates = 0
         self._rate_on_device = torch.tensor(self._rate, device=device)
         critic_rate = torch.tensor(options.critic_learning_rate, device=device)
         self._actor_optimiser = _optimiser(options, self._actor, self._rate_on_device)
@@ -169,6 +174,7 @@ class PPO(Learner):
             batch["advantages"].clamp_(-options.advantage_clip, options.advantage_clip)
         if options.kl_penalty is not None:
             batch |= self._parameters(batch)
+        self._rate_on_device.fill_(0.0 if self._critic_alone else self._rate)
         self._sums.zero_()
         with self._beside.sharing():
             for _ in range(options.epochs):
@@ -178,7 +184,7 @@ class PPO(Learner):
         taken = totals[COUNT]
         entropy, kl, outside, actor_loss, value_loss, *_ = (x / max(1.0, taken) for x in totals)
         optimisers.refuse_hopeless(int(self._bad_steps), options.patience)
-        return {
+        row = {
             "actor_loss": actor_loss,
             "value_loss": value_loss,
             "entropy": entropy,
@@ -188,6 +194,13 @@ class PPO(Learner):
             "actor_learning_rate": self._adapt_rate(kl),
             "skipped_steps": options.epochs * self._steps - taken,
         } | self._adapt_penalty(batch)
+        self._updates += 1
+        return row
+
+    @property
+    def _critic_alone(self) -> bool:
+        """Whether the actor stays as it is in this update."""
+        return self._updates < self.options.critic_first
 
     @torch.no_grad()
     def _parameters(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -295,7 +308,9 @@ class PPO(Learner):
             self.on_fault = None
 
     def _adapt_rate(self, kl: float) -> float:
-        """Bring the actor's learning rate a step towards ``target_kl``; returns the rate."""
+        """Bring the actor's learning rate a step towards ``target_kl``; returns the rate, 0 while the critic learns alone."""
+        if self._critic_alone:
+            return 0.0
         target = self.options.target_kl
         if target is not None:
             if not kl <= 2 * target:  # also where it is not finite
@@ -315,8 +330,9 @@ class PPO(Learner):
         new = self.policy.distribution(observations_of(batch))
         divergence = float(averages.mean(_collecting(batch, new).divergence(new).mean()))
         used, (least, most) = self._coefficient, COEFFICIENT_RANGE
-        self._coefficient = min(max(penalty.adapted(used, divergence), least), most)
-        self._coefficient_on_device.fill_(self._coefficient)
+        if not self._critic_alone:
+            self._coefficient = min(max(penalty.adapted(used, divergence), least), most)
+            self._coefficient_on_device.fill_(self._coefficient)
         return {"divergence": divergence, "kl_coefficient": used}
 
     def state_dict(self) -> State:
@@ -326,16 +342,20 @@ class PPO(Learner):
             "actor_rate": self._rate,
             "kl_coefficient": self._coefficient,
             "bad_steps": self._bad_steps.clone(),
+            "updates": self._updates,
             "generator": self._generator.get_state(),
         }
 
     def load_state_dict(self, state: State) -> None:
-        for name in ("actor_rate", "kl_coefficient"):
-            if state[name] < 0:
-                raise ValueError(f"'{name}' is {state[name]:g}, below 0")
+        # Older checkpoints do not count updates: they are of before the option.
+        updates = state.get("updates", self.options.critic_first)
+        for name in ("actor_rate", "kl_coefficient", "updates"):
+            if (value := state.get(name, updates)) < 0:
+                raise ValueError(f"'{name}' is {value:g}, below 0")
         optimisers.load_state(self._actor_optimiser, state["actor"])
         optimisers.load_state(self._critic_optimiser, state["critic"])
         self._rate, self._coefficient = state["actor_rate"], state["kl_coefficient"]
+        self._updates = updates
         self._rate_on_device.fill_(self._rate)
         self._coefficient_on_device.fill_(self._coefficient)
         self._bad_steps.copy_(state["bad_steps"])
