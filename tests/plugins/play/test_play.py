@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from page_requests import check_page, visitor
+from page_requests import check_nonsense, check_page, visitor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
@@ -292,6 +292,9 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
         lies = table["qpos"][0, 50:52].numpy()
         np.testing.assert_allclose(player.way()[0, :2], lies, atol=1e-3)
         assert player.falls == 0
+        target = page.target
+        check_nonsense(page.url, page._server)
+        assert page.target == target
     finally:
         page.close()
 

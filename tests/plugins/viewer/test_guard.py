@@ -17,7 +17,7 @@ import viser
 import viser.infra._infra
 from websockets import Headers
 
-from understudy_viewer.guard import guarded, is_own
+from understudy_viewer.guard import Door, guarded, is_own
 
 
 def headers(host: str | None, *origins: str) -> Headers:
@@ -73,7 +73,7 @@ def test_the_library_is_as_it_was() -> None:
 
     infra: Any = viser.infra._infra
     before = server.serve, infra.AsyncMessageBuffer
-    with guarded("127.0.0.1"):
+    with guarded("127.0.0.1", Door()):
         assert server.serve is not before[0]
     assert (server.serve, infra.AsyncMessageBuffer) == before
 
@@ -92,7 +92,7 @@ class Visitor:
 def test_visitors_are_woken_in_their_own_thread() -> None:
     """viser wakes them in the one that draws, too, in which the list of them may change meanwhile: the page
     ended with `deque mutated during iteration` within a minute of fifty who come and go."""
-    with guarded("127.0.0.1"), contextlib.redirect_stdout(io.StringIO()):
+    with guarded("127.0.0.1", Door()), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer("127.0.0.1", 8950, verbose=False)
     try:
         visitor: Any = Visitor()
