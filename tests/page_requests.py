@@ -35,11 +35,11 @@ def visitor(url: str) -> Iterator[Callable[..., None]]:
 
 
 #: What a browser says first, and of a click.
-_CAMERA: dict[str, Any] = {
+CAMERA: dict[str, Any] = {
     "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, -3.0, 1.0), "fov": 0.8, "near": 0.01, "far": 1000.0,
     "image_height": 600, "image_width": 900, "look_at": (0.0, 0.0, 1.0), "up_direction": (0.0, 0.0, 1.0),
 }  # fmt: skip
-_CLICK: dict[str, Any] = {
+CLICK: dict[str, Any] = {
     "event_type": "click", "ray_origin": (0.0, -3.0, 1.0), "ray_direction": (0.0, 0.9, -0.3),
     "screen_pos": ((0.5, 0.5),), "modifier": None,
 }  # fmt: skip
@@ -70,7 +70,7 @@ def nonsense(inputs: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
     for kind in ("ShareUrlRequest", "ShareUrlDisconnect", "Message", "GuiUpdateMessage"):
         yield kind, {}
     wrong = (_NAN, _HUGE, "x", {}, [], [_NAN] * 3, [_HUGE] * 3, [_HUGE] * 4, ["x"] * 3, [0.0] * 2)
-    for kind, whole in (("ViewerCameraMessage", _CAMERA), ("ScenePointerMessage", _CLICK)):
+    for kind, whole in (("ViewerCameraMessage", CAMERA), ("ScenePointerMessage", CLICK)):
         for key in whole:
             for value in wrong:
                 yield kind, {**whole, key: value}

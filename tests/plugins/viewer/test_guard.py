@@ -10,9 +10,11 @@ import time
 from typing import Any
 
 import pytest
+from page_requests import CAMERA, CLICK
 
 pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 
+import msgspec
 import viser
 import viser.infra._infra
 from websockets import Headers
@@ -66,6 +68,20 @@ def test_others(given: tuple[str | None, ...]) -> None:
 def test_two_hosts_are_none() -> None:
     both = Headers([("Host", "127.0.0.1"), ("Host", "evil.example")])
     assert not is_own(both, "127.0.0.1")
+
+
+def test_what_a_browser_says_is_let_in() -> None:
+    moved = {"name": "/target", "wxyz": (1, 0, 0, 0), "position": (0.5, 0, -2.0), "owner": "server"}
+    for kind, fields in (
+        ("ViewerCameraMessage", CAMERA),
+        ("ScenePointerMessage", CLICK),
+        ("ScenePointerMessage", {**CLICK, "modifier": "cmd/ctrl+shift"}),
+        ("TransformControlsDragStartMessage", {"name": "/target", "owner": ""}),
+        ("TransformControlsUpdateMessage", moved),
+        ("TransformControlsDragEndMessage", {"name": "/target", "owner": ""}),
+        ("CommandTriggerMessage", {"uuid": "x"}),
+    ):
+        assert Door().lets_in(msgspec.msgpack.encode({"type": kind, **fields})), kind
 
 
 def test_the_library_is_as_it_was() -> None:
