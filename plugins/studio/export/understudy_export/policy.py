@@ -33,6 +33,7 @@ from torch import Tensor, nn
 
 from understudy import __version__
 from understudy.errors import FileError
+from understudy.signals import StopRequest
 from understudy.folders import write_atomically
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Chosen
@@ -141,7 +142,8 @@ def write_model(
     FileError
         as :func:`write_policy`.
     """
-    import onnx
+    with StopRequest():  # a signal would abort what is being imported
+        import onnx
 
     worlds = torch.export.Dim("worlds", min=1)
     # Twice, as an axis of length 1 is taken for one that cannot be longer.
