@@ -33,10 +33,10 @@ from torch import Tensor, nn
 
 from understudy import __version__
 from understudy.errors import FileError
-from understudy.signals import StopRequest
 from understudy.folders import write_atomically
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Chosen
+from understudy.signals import StopRequest
 from understudy_characters.parts import Reference
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.servos import lags
