@@ -296,6 +296,8 @@ MUTANTS = (
     Mutant("Ctrl-C reaches the fork server", PROCESSES, "_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}", "_OF_TERMINALS = {signal.SIGHUP}", f"{EXECUTORS} -k fork_server"),
     Mutant("a terminal's end reaches the fork server", PROCESSES, "_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}", "_OF_TERMINALS = {signal.SIGINT}", f"{EXECUTORS} -k fork_server"),
     Mutant("a trial is of its sweep's session", PROCESSES, "    os.setsid()  #", "    pass  #", f"{EXECUTORS} -k session"),
+    Mutant("Ctrl-C as a trial begins ends it", PROCESSES, "before = signal.signal(number, signal.SIG_IGN)", "before = signal.getsignal(number)",
+           f"{EXECUTORS} -k while_a_trial"),
     Mutant("nobody waits for who holds a folder", SWEEP_TRIAL, "            if time.monotonic() > deadline:", "            if True:", f"{EXECUTORS} -k waits_for"),
     Mutant("the wait for a folder has no end", SWEEP_TRIAL, "            if time.monotonic() > deadline:", "            if False:", f"{EXECUTORS} -k waits_for"),
     Mutant("a pose network of any shape", POSES, "for misfit in misshapen(dict(network.state_dict()), given, \"network\"):", "for misfit in ():",

@@ -199,8 +199,8 @@ def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
 
 
 def _leave_the_terminal() -> None:
-    """Ctrl-C is the sweep's, which then lets this save; also one that came before this was apart from it."""
-    os.setsid()
+    """Have a session of its own, to which also no signal comes that was sent before."""
+    os.setsid()  # Ctrl-C is the sweep's, which then lets this save
     for number in _OF_TERMINALS:  # which the server blocks
         before = signal.signal(number, signal.SIG_IGN)  # one that waits is dropped
         signal.signal(number, before)
