@@ -47,7 +47,7 @@ _NAN, _HUGE = float("nan"), 1e300
 #: What nothing on a page can be, what can be set of nothing, and what is no message.
 _VALUES = (_NAN, float("inf"), -_HUGE, _HUGE, -1, "", "x", "0.5", None, [], [1.0], {}, {"x": 1}, b"x", 2**63)  # fmt: skip
 _KEYS = ("props", "update_cb", "gui_api", "sync_cb", "is_button", "removed", "uuid", "__class__", "x")  # fmt: skip
-_NO_MESSAGES = (
+NO_MESSAGES = (
     b"", b"\x00", b"\xff", b"\xc1" * 9, b"\x93\x01\x02\x03", b"\x81", "", "hello", "{}", b"\xdf\xff\xff\xff\xff",
     b"\x81\xa4type\xa1x", b"\x81\xa4type\x01", b"\x81\xa4type\xa7Message", b"\x91" * 5000,
 )  # fmt: skip
@@ -99,7 +99,7 @@ def check_nonsense(url: str, server: Any) -> None:
     version = Subprotocol(f"viser-v{viser.__version__}")
     at = url.replace("http", "ws")
     with connect(at, subprotocols=[version], max_size=None) as talk:
-        for message in _NO_MESSAGES:
+        for message in NO_MESSAGES:
             talk.send(message)
         for kind, fields in nonsense(inputs):
             talk.send(msgspec.msgpack.encode({"type": kind, **fields}))

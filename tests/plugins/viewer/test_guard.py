@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 import pytest
-from page_requests import CAMERA, CLICK
+from page_requests import CAMERA, CLICK, NO_MESSAGES, nonsense
 
 pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 
@@ -82,6 +82,13 @@ def test_what_a_browser_says_is_let_in() -> None:
         ("CommandTriggerMessage", {"uuid": "x"}),
     ):
         assert Door().lets_in(msgspec.msgpack.encode({"type": kind, **fields})), kind
+
+
+def test_nonsense_is_not_let_in() -> None:
+    for raw in NO_MESSAGES:
+        assert not Door().lets_in(raw), raw[:20]
+    for kind, fields in nonsense(["x"]):
+        assert not Door().lets_in(msgspec.msgpack.encode({"type": kind, **fields})), (kind, fields)
 
 
 def test_the_library_is_as_it_was() -> None:
