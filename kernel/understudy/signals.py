@@ -70,5 +70,5 @@ def _note(number: int, frame: object = None) -> None:
         if before is None if request.at_once else before == number == signal.SIGINT:
             raise KeyboardInterrupt(signal.Signals(number).name)
         if frame is not None and before is None and number == signal.SIGINT:  # not one passed on
-            text = "Stopping once this iteration is finished. A second Ctrl-C stops at once."
+            text = "Stopping once what is begun is finished. A second Ctrl-C stops at once."
             StopRequest._nested[0].tell(text)

@@ -90,7 +90,7 @@ def test_a_second_ctrl_c_does_not_wait_for_a_long_iteration(
     ):
         training.train()
     assert done == (["waited"] if waits else [])
-    once = "Stopping once this iteration is finished. A second Ctrl-C stops at once."
+    once = "Stopping once what is begun is finished. A second Ctrl-C stops at once."
     assert told == [once] * (numbers[0] == signal.SIGINT)
     assert training.run is not None
     training.run.unlock()

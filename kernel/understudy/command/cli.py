@@ -7,7 +7,6 @@ with 75, so that a scheduler can start it again; a defect keeps its traceback.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import errno
 import io
 import os
@@ -52,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 sys.stdout.flush()  # here, where an error can still be reported
             return status
         except (Exception, KeyboardInterrupt) as error:
+            exec("")  # else `python -m` ends as one killed by Ctrl-C if it came within an `exec`
             if stop.received is not None and not isinstance(error, PreemptedError):
                 name = signal.Signals(stop.received).name  # whatever error a library made of it
                 error = PreemptedError(f"Stopped by {name}. {stop.advice}")
@@ -72,8 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 error = fault
             if os.environ.get("UNDERSTUDY_TRACEBACK"):
                 traceback.print_exc()
-            with contextlib.suppress(OSError):  # a closed terminal; and a message may be long
-                print(f"understudy: {shown(str(error)):.10000}", file=sys.stderr, flush=True)
+            tell(f"understudy: {error!s:.10000}")  # a message may be long
             return error.exit_status
 
 

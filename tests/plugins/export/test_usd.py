@@ -17,6 +17,7 @@ from motion_files import walker
 from moving_figures import angle_error, boxes, clips, position_error
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
+from worlds import python
 
 from understudy.errors import FileError
 from understudy_export.gltf import GlbWriter
@@ -239,3 +240,31 @@ def test_what_does_not_fit_is_said_once(tmp_path: Path, writer: UsdWriter) -> No
 def test_a_name_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="USD takes no name that is not UTF-8"):
         UsdcWriter().write(walker(frames=5), tmp_path / os.fsdecode(b"\xff.usdc"))
+
+
+#: Carries out the command where a stop signal comes while OpenUSD is being imported, which goes on as if nothing
+#: were: what Python code raises in there is printed and forgotten.
+_SWALLOWS = """
+import contextlib, os, signal, sys, types
+from importlib.abc import MetaPathFinder
+from understudy.command.cli import main
+
+class Swallows(MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == "pxr":
+            sys.meta_path.remove(self)
+            with contextlib.suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGTERM)
+
+for name in [n for n in sys.modules if n.partition(".")[0] == "pxr"]:
+    del sys.modules[name]
+sys.meta_path.insert(0, Swallows())
+sys.exit(main())
+"""
+
+
+def test_a_signal_while_it_is_imported_is_answered(tmp_path: Path) -> None:
+    ended = python(_SWALLOWS, "export", "walk", "walk.usda", "--seconds", "0.5", cwd=tmp_path)
+    assert ended.returncode == 75, ended.stderr
+    assert ended.stderr == "understudy: Stopped by SIGTERM. Give the same command again.\n"
+    assert not list(tmp_path.iterdir())

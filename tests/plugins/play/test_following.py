@@ -122,6 +122,19 @@ def test_a_checkpoint_that_is_damaged_or_gone_leaves_what_plays(page: Page, run:
     torch.testing.assert_close(weights(page), before)
 
 
+def test_what_a_damaged_checkpoint_says_is_no_part_of_the_page(page: Page, run: Path) -> None:
+    following, file = page._following, run / "checkpoints" / "00000003.json"
+    assert following is not None
+    keep(run, 3, 2.0)
+    content = checkpoint.read_sealed(file) | {"format": "<img src=x onerror=alert(1)>"}
+    file.write_bytes(checkpoint._sealed(content))
+    following._due = 0.0
+    page.advance()
+    assert "00000003" in following._told.content
+    assert "&lt;img src=x" in following._told.content
+    assert "<img" not in following._told.content
+
+
 def test_curves_have_what_rows_have() -> None:
     rows = [{"samples": 1, "reward": 1.0}, {"samples": 2, "reward/a": 3.0}, {"reward": 4.0}, {}]
     names, (x, *ys) = curves(rows, ("reward",))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from page_requests import check_page, visitor
+from page_requests import check_nonsense, check_page, visitor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
@@ -292,6 +292,9 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
         lies = table["qpos"][0, 50:52].numpy()
         np.testing.assert_allclose(player.way()[0, :2], lies, atol=1e-3)
         assert player.falls == 0
+        target = page.target
+        check_nonsense(page.url, page._server)
+        assert page.target == target
     finally:
         page.close()
 
@@ -331,6 +334,32 @@ def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> No
     assert again.samples == walk.samples
     for name, value in walk.policy.items():
         torch.testing.assert_close(again.policy[name], value)
+
+
+def test_a_pack_that_does_not_fit_leaves_the_one_before(
+    walk: skills.Skill, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tensors fit onto the disk, and the card does not any more."""
+    pack(walk, tmp_path / "kept", {"success_rate": 1.0})
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    half = replace(walk, policy={name: 0.5 * value for name, value in walk.policy.items()})
+    write = checkpoint.write_atomically
+
+    def full(path: Path, data: bytes) -> None:
+        if path.suffix == ".json":
+            raise RunError(f"{path} could not be written: No space left on device.")
+        write(path, data)
+
+    monkeypatch.setattr(checkpoint, "write_atomically", full)
+    for name in ("kept", "new"):
+        with pytest.raises(RunError, match=rf"/{name}\.json could not be written: No space"):
+            pack(half, tmp_path / name, {})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    monkeypatch.undo()
+    pack(half, tmp_path / "kept", {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(before)
+    assert (tmp_path / "kept.safetensors").read_bytes() != before["kept.safetensors"]
+    assert open_skill(str(tmp_path / "kept.json")).card["evaluation"] == {}
 
 
 def test_a_changed_byte_is_noticed(walk: skills.Skill, tmp_path: Path) -> None:

@@ -72,6 +72,35 @@ def made(run: Run, of: Recording) -> tuple[list[str], Page]:
     return messages, Page((run.path / "report.html").read_text())
 
 
+class Stopped(Points):
+    """A signal comes while the film is drawn."""
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 64, height: int = 48
+    ) -> Iterator[np.ndarray]:
+        yield from super().draw({"x": tracks["x"][:3]}, width, height)
+        raise KeyboardInterrupt("SIGTERM")
+
+
+def test_what_is_stopped_leaves_the_earlier_film(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    made(run, recording(Points()))
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(KeyboardInterrupt):
+        ReportMaker().judged(run, recording(Stopped()), lambda text: None)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_no_film_of_an_earlier_recording_is_left(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    made(run, recording(Points()))
+    made(run, recording(NoOpenGL()))
+    assert (tmp_path / FIGURES).exists()
+    assert not (tmp_path / VIDEO).exists()
+    made(run, Recording({}, 1 / 30, 0, Points()))
+    assert not (tmp_path / FIGURES).exists()
+
+
 def test_video_figures_and_page(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     messages, page = made(run, recording(Points()))

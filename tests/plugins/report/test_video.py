@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import stat
@@ -69,6 +70,17 @@ def test_no_frames(tmp_path: Path) -> None:
 def test_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="could not be written"):
         write_video(tmp_path / "missing" / "video.mp4", frames(), 30)
+
+
+def test_a_disk_that_is_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where not even what is not there can be removed."""
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(RunError, match=r"/nowhere/film\.mp4 could not be written: ffmpeg says "):
+        write_video(tmp_path / "nowhere/film.mp4", frames(), 30.0)
 
 
 def test_missing_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -202,6 +202,43 @@ def test_a_record_that_is_no_file_is_one_sentence(tmp_path: Path) -> None:
         card(tmp_path, table)
 
 
+#: Records in rows, and a table of them.
+BY = Record(by=("cell",), values={"samples": "n"})
+ROWS = replace(TABLE, columns={"full": ()}, paper={}, records={"a.csv": BY, "b.jsonl": BY})
+
+
+@pytest.mark.parametrize("seed", ["1e999", "nan", "-1", "0.5", "9" * 400, "0x10", "first"])
+def test_a_row_of_no_possible_seed_is_not_counted(
+    seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.csv").write_text(f"cell,n,seed\nwalk,3,0\nwalk,7,{seed}\nwalk,9,1.0\n")
+    assert card(tmp_path, ROWS).cells["walk", "full"].by_seed("samples") == {0: 3.0, 1: 9.0}
+    said = f"A row is damaged in {tmp_path / 'a.csv'} and left out: what such a row told of is not counted."
+    assert capsys.readouterr().err == f"{said}\n"
+
+
+def test_rows_that_are_damaged_are_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = ['{"cell": "walk", "n": 3}', '{"cell": "walk", "n"', "[" * 10**5, '{"cell": "run", "n": 4, "seed": []}',
+            '{"cell": "run", "n": -4}', '{"cell": "run", "n": 1, "seed": {}}', "", '{"cell": "run", "n": 5}']  # fmt: skip
+    (tmp_path / "b.jsonl").write_text("\n".join(rows))
+    journal(tmp_path, "whole.jsonl", {"walk/full": (1.0,)})
+    with (tmp_path / "whole.jsonl").open("ab") as file:
+        file.write(b'{"event": "finished", "report": {"key"')
+    found = card(tmp_path, replace(ROWS, records={**ROWS.records, "whole.jsonl": Record()}))
+    assert found.cells["run", "full"].by_seed("samples") == {0: 5.0}
+    said = capsys.readouterr().err
+    assert f"5 rows are damaged in {tmp_path / 'b.jsonl'}" in said, "no JSON, no seed, no cost"
+    assert f"A row is damaged in {tmp_path / 'whole.jsonl'}" in said
+
+
+def test_a_record_that_is_no_csv_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"cell,n,seed\nwalk,{'9' * 200_000},0\n")
+    with pytest.raises(FileError, match=r"a\.csv is no table of CSV: field larger than"):
+        card(tmp_path, ROWS)
+
+
 @pytest.mark.parametrize("name", ["/etc/passwd", "../x.jsonl"])
 def test_records_stay_in_their_folder(name: str) -> None:
     with pytest.raises(ValueError, match="not in the folder of records"):

@@ -17,7 +17,7 @@ from typing import Any
 import executors
 import pytest
 import torch
-from commands import begin, kill
+from commands import begin, forked, kill
 from executors import ENDLESS, SMALL_STOP, iterations, make, work
 from worlds import child_environment
 
@@ -270,6 +270,23 @@ def test_a_trial_has_a_session_of_its_own(tmp_path: Path) -> None:
     executors.carry_out(built("processes")(work(tmp_path)), [Trial("a")], meanwhile=note)
     assert sessions
     assert all(session == process for session, process in sessions)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_a_terminal_sent_while_a_trial_begins_does_not_end_it(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    """Between the fork, where it is blocked, and the session of its own; what comes later is heard."""
+    code = (
+        "import os, signal; from understudy_sweeps.processes import _leave_the_terminal\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+        "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})\n"
+        f"os.kill(os.getpid(), {number.value}); _leave_the_terminal(); print('begins', flush=True)\n"
+        f"os.kill(os.getpid(), {number.value}); signal.pause()"
+    )
+    ended = forked(code, cwd=tmp_path)
+    assert ended.stdout == "begins\n", ended.stderr
+    assert ended.returncode != 0
 
 
 def test_what_a_terminal_sends_does_not_reach_the_fork_server(tmp_path: Path) -> None:

@@ -10,14 +10,16 @@ import time
 from typing import Any
 
 import pytest
+from page_requests import CAMERA, CLICK, NO_MESSAGES, nonsense
 
 pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 
+import msgspec
 import viser
 import viser.infra._infra
 from websockets import Headers
 
-from understudy_viewer.guard import guarded, is_own
+from understudy_viewer.guard import Door, guarded, is_own
 
 
 def headers(host: str | None, *origins: str) -> Headers:
@@ -68,12 +70,33 @@ def test_two_hosts_are_none() -> None:
     assert not is_own(both, "127.0.0.1")
 
 
+def test_what_a_browser_says_is_let_in() -> None:
+    moved = {"name": "/target", "wxyz": (1, 0, 0, 0), "position": (0.5, 0, -2.0), "owner": "server"}
+    for kind, fields in (
+        ("ViewerCameraMessage", CAMERA),
+        ("ScenePointerMessage", CLICK),
+        ("ScenePointerMessage", {**CLICK, "modifier": "cmd/ctrl+shift"}),
+        ("TransformControlsDragStartMessage", {"name": "/target", "owner": ""}),
+        ("TransformControlsUpdateMessage", moved),
+        ("TransformControlsDragEndMessage", {"name": "/target", "owner": ""}),
+        ("CommandTriggerMessage", {"uuid": "x"}),
+    ):
+        assert Door().lets_in(msgspec.msgpack.encode({"type": kind, **fields})), kind
+
+
+def test_nonsense_is_not_let_in() -> None:
+    for raw in NO_MESSAGES:
+        assert not Door().lets_in(raw), raw[:20]
+    for kind, fields in nonsense(["x"]):
+        assert not Door().lets_in(msgspec.msgpack.encode({"type": kind, **fields})), (kind, fields)
+
+
 def test_the_library_is_as_it_was() -> None:
     import websockets.asyncio.server as server
 
     infra: Any = viser.infra._infra
     before = server.serve, infra.AsyncMessageBuffer
-    with guarded("127.0.0.1"):
+    with guarded("127.0.0.1", Door()):
         assert server.serve is not before[0]
     assert (server.serve, infra.AsyncMessageBuffer) == before
 
@@ -92,7 +115,7 @@ class Visitor:
 def test_visitors_are_woken_in_their_own_thread() -> None:
     """viser wakes them in the one that draws, too, in which the list of them may change meanwhile: the page
     ended with `deque mutated during iteration` within a minute of fifty who come and go."""
-    with guarded("127.0.0.1"), contextlib.redirect_stdout(io.StringIO()):
+    with guarded("127.0.0.1", Door()), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer("127.0.0.1", 8950, verbose=False)
     try:
         visitor: Any = Visitor()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browsers import opened
-from page_requests import check_page
+from page_requests import check_nonsense, check_page
 
 from understudy.errors import ConfigError
 from understudy.setup import plugins
@@ -166,6 +166,23 @@ def test_an_address_of_another_machine_is_refused() -> None:
         free_port("192.0.2.1", 8080)
 
 
+@pytest.mark.parametrize("host", ["a\0b", "x" * 300, "localhost:80", " "])
+def test_what_is_no_address_is_refused_at_once(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[object] = []
+    create = socket.create_server
+    monkeypatch.setattr(
+        socket, "create_server", lambda *a, **k: (tried.append(a), create(*a, **k))[1]
+    )
+    with pytest.raises(ConfigError, match=r"port 8080 \(--host, --port\): [^(]*\.$"):
+        free_port(host, 8080)
+    assert len(tried) == 1
+
+
+def test_no_address_is_not_all_of_them() -> None:
+    with pytest.raises(ConfigError, match="--host names no address"):
+        free_port("", 0)
+
+
 # ---------------------------------------------------------------------- in a browser
 
 
@@ -262,3 +279,13 @@ def test_a_browser_shows_the_figures_and_moves_them_with_the_slider(
 
 def test_answers_its_own_address_alone(page: Page) -> None:
     check_page(page.url)
+
+
+def test_what_no_browser_says_changes_nothing(
+    page: Page, capfd: pytest.CaptureFixture[str]
+) -> None:
+    playing = threading.Thread(target=page.run, daemon=True)
+    playing.start()
+    check_nonsense(page.url, page._server)
+    assert playing.is_alive(), "the page goes on"
+    assert capfd.readouterr() == ("", "")

@@ -3,7 +3,9 @@ and finished runs."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import re
 import shutil
 import tempfile
@@ -300,6 +302,11 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
 
     Matrices get 8 or 16 `bits` per weight and a scale per row; with 32 they are unchanged, as everything else is.
     `evaluation` goes onto the card.
+
+    Raises
+    ------
+    RunError
+        if they cannot be written; what was there is as it was.
     """
     kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
     card = {**skill.card, "evaluation": dict(evaluation)}
@@ -310,11 +317,23 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
     config = dict(card["config"])
     config["run"] = {**config.get("run", {}), "dir": None}
     path.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint.save(
-        path,
-        {"policy": {k: _packed_tensor(v, bits) for k, v in kept.items()}},
-        {**card, "config": config},
-    )
+    policy = {k: _packed_tensor(v, bits) for k, v in kept.items()}
+    # Both files are there before one takes its place: without its tensors, a card that was there is of nothing.
+    name = path.name.removesuffix(".json").removesuffix(".safetensors")
+    made = path.with_name(f".{name}.{os.getpid()}.partial")
+    endings = (".safetensors", ".json")
+    try:
+        checkpoint.save(made, {"policy": policy}, {**card, "config": config})
+        for ending in endings:
+            os.replace(made.with_name(made.name + ending), path.with_name(name + ending))
+    except RunError as error:
+        raise RunError(str(error).replace(made.name, name)) from error
+    except OSError as error:
+        raise RunError(f"{path} could not be written: {error.strerror}.") from error
+    finally:
+        for ending in endings:
+            with contextlib.suppress(OSError):  # it is there only if that did not end
+                made.with_name(made.name + ending).unlink()
 
 
 def is_left_over(file: Path) -> bool:

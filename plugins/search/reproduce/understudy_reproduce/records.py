@@ -17,6 +17,7 @@ from understudy_reproduce.tables import PaperTable, Record, variant_name
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.results import OBJECTIVE, SAMPLES, Result
+from understudy_training.left_out import not_counted
 
 
 def recorded(table: PaperTable, folder: Path) -> dict[str, tuple[Record, Result]]:
@@ -69,26 +70,41 @@ def _reports(path: Path, record: Record) -> Iterator[tuple[str, Report]]:
         text = read(path).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}.") from error
-    is_csv = path.suffix == ".csv"
-    for row in csv.DictReader(io.StringIO(text)) if is_csv else map(_json, text.splitlines()):
+    lost: list[bytes] = []
+    for row in _csv(path, text) if path.suffix == ".csv" else _json(text, lost):
         if any(str(_at(row, at)) != said for at, said in record.where.items()):
             continue
         values = {of: number(_number(_at(row, at))) for of, at in record.values.items()}
-        seed = _number(_at(row, record.seed))
+        if None in values.values():
+            continue
         name = "/".join(str(_at(row, part)) for part in record.by)
-        if None not in values.values():
-            measures = {of: v for of, v in values.items() if v is not None}
-            cost = measures.pop(SAMPLES, 0.0)
-            report = Report(
-                name, "ok", measures.pop(OBJECTIVE, None), measures, cost, "", "criterion"
-            )
-            yield f"{name}/seed{int(seed or 0)}", report
+        seed = _seed(_at(row, record.seed))
+        measures = {of: v for of, v in values.items() if v is not None}
+        cost = measures.pop(SAMPLES, 0.0)
+        if seed is None or cost < 0.0:
+            lost.append(str(row).encode())
+            continue
+        report = Report(name, "ok", measures.pop(OBJECTIVE, None), measures, cost, "", "criterion")
+        yield f"{name}/seed{seed}", report
+    not_counted(path, lost)
 
 
-def _json(line: str) -> Any:
-    with contextlib.suppress(ValueError, RecursionError):
-        return json.loads(line)
-    return {}
+def _csv(path: Path, text: str) -> list[Any]:
+    try:
+        return list(csv.DictReader(io.StringIO(text)))
+    except csv.Error as error:
+        raise FileError(f"{path} is no table of CSV: {error}.") from error
+
+
+def _json(text: str, lost: list[bytes]) -> Iterator[Any]:
+    """What the lines of `text` are as JSON; those that are none go to what is `lost`."""
+    for line in text.splitlines():
+        try:
+            row = json.loads(line)
+        except (ValueError, RecursionError):
+            lost.append(line.encode())
+        else:
+            yield row
 
 
 def _at(row: Any, path: str) -> Any:
@@ -96,6 +112,14 @@ def _at(row: Any, path: str) -> Any:
     for part in path.split("."):
         row = row.get(part) if isinstance(row, Mapping) else None
     return row
+
+
+def _seed(value: Any) -> int | None:
+    """The seed that a row has, 0 where it has none; None if that can be none."""
+    if value in (None, ""):
+        return 0
+    found = number(_number(value))
+    return int(found) if found is not None and found >= 0.0 and found == int(found) else None
 
 
 def _number(value: Any) -> Any:

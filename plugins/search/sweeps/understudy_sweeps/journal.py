@@ -21,7 +21,7 @@ from understudy.folders import read, sync, write_atomically
 from understudy.setup.composition import refuse_resolvers
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of
-from understudy_training.left_out import leave_out
+from understudy_training.left_out import leave_out, not_counted
 
 __all__ = ["Journal"]
 
@@ -66,14 +66,16 @@ class Journal:
 
     @classmethod
     def read(cls, path: Path) -> Journal:
-        """As :meth:`open`, but changes nothing; rows that are not a journal's are left out, too.
+        """As :meth:`open`, but changes nothing; rows that are not a journal's are left out and reported, too.
 
         Raises
         ------
         RunError
             if it cannot be read.
         """
-        return cls._of(path)[0]
+        journal, lost = cls._of(path)
+        not_counted(path, lost)
+        return journal
 
     @classmethod
     def _of(cls, path: Path) -> tuple[Journal, list[bytes]]:

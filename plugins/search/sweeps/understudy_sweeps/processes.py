@@ -198,9 +198,17 @@ def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
 # ---------------------------------------------------------------------- in the child
 
 
-def _carry_out(pipe: Connection, text: str, output: str, gpu: str | None) -> None:
+def _leave_the_terminal() -> None:
+    """Have a session of its own, to which also no signal comes that was sent before."""
     os.setsid()  # Ctrl-C is the sweep's, which then lets this save
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_TERMINALS)  # as the server has them
+    for number in _OF_TERMINALS:  # which the server blocks
+        before = signal.signal(number, signal.SIG_IGN)  # one that waits is dropped
+        signal.signal(number, before)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_TERMINALS)
+
+
+def _carry_out(pipe: Connection, text: str, output: str, gpu: str | None) -> None:
+    _leave_the_terminal()
     if gpu is not None:  # before anything asks for a GPU, which is when CUDA reads it
         os.environ[_VISIBLE] = gpu
     Path(output).parent.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 
@@ -23,34 +24,38 @@ class ReportMaker(RunObserver):
     """Writes ``stick_figures.npz``, ``video.mp4`` if it can be drawn, and ``report.html``."""
 
     def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
-        for name in (FIGURES, VIDEO):  # of an earlier recording
-            (run.path / name).unlink(missing_ok=True)
-        if recording is not None and recording.tracks:
-            self._try("stick figures", tell, lambda: _draw_figures(run, recording))
-            self._try("video", tell, lambda: tell(_draw_video(run, recording)))
+        pictures = (("stick figures", FIGURES, _draw_figures), ("video", VIDEO, _draw_video))
+        for what, name, draw in pictures:
+            drawn = False
+            if recording is not None and recording.tracks:
+                drawn = self._try(what, tell, functools.partial(draw, run, recording, tell))
+            if not drawn:  # what is there is of an earlier recording
+                (run.path / name).unlink(missing_ok=True)
         tell(f"The report is {write_report(run)}.")
 
     def evaluated(self, run: Run, tell: Callable[[str], None]) -> None:
         tell(f"The report is {write_report(run)}.")
 
-    def _try(self, what: str, tell: Callable[[str], None], draw: Callable[[], None]) -> None:
-        """The page is worth having without a picture, whatever kept its scene from drawing."""
+    def _try(self, what: str, tell: Callable[[str], None], draw: Callable[[], bool]) -> bool:
+        """Whether there is one. The page is worth having without a picture, whatever kept its scene from drawing."""
         try:
-            draw()
+            return draw()
         except UnderstudyError as error:
             tell(f"No {what}: {error}")
         except Exception as error:  # a scene may come from any plugin
             tell(f"No {what}: {type(error).__name__}: {error}")
+        return False
 
 
-def _draw_figures(run: Run, recording: Recording) -> None:
+def _draw_figures(run: Run, recording: Recording, tell: Callable[[str], None]) -> bool:
     learned, reference = recording.scene.outlines(recording.tracks)
     if learned is not None:
         Figures(learned, reference, recording.control_dt).save(run.path / FIGURES)
+    return learned is not None
 
 
-def _draw_video(run: Run, recording: Recording) -> str:
-    """Draws and encodes at once; returns how long that took."""
+def _draw_video(run: Run, recording: Recording, tell: Callable[[str], None]) -> bool:
+    """Draws and encodes at once, and says how long that took."""
     began = time.perf_counter()
     every = max(1, round(1.0 / (FRAME_RATE * recording.control_dt)))
     tracks = {name: track[::every] for name, track in recording.tracks.items()}
@@ -59,4 +64,5 @@ def _draw_video(run: Run, recording: Recording) -> str:
     recording.scene.azimuth = options.get("video_camera")
     frames = recording.scene.draw(tracks, width, height)
     write_video(run.path / VIDEO, frames, 1.0 / (every * recording.control_dt))
-    return f"Video drawn in {time.perf_counter() - began:.0f} s."
+    tell(f"Video drawn in {time.perf_counter() - began:.0f} s.")
+    return True

@@ -56,7 +56,8 @@ def write_video(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
         if reason is None:
             reason = _move(temporary, path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # it is there only if that did not end
+            temporary.unlink()
     if reason is not None:
         raise RunError(f"{path} could not be written: {reason}.")
 

@@ -36,6 +36,7 @@ from understudy.errors import FileError
 from understudy.folders import write_atomically
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Chosen
+from understudy.signals import StopRequest
 from understudy_characters.parts import Reference
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.servos import lags
@@ -141,7 +142,8 @@ def write_model(
     FileError
         as :func:`write_policy`.
     """
-    import onnx
+    with StopRequest():  # a signal would abort what is being imported
+        import onnx
 
     worlds = torch.export.Dim("worlds", min=1)
     # Twice, as an axis of length 1 is taken for one that cannot be longer.

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from html import escape
 from typing import Any
 
 import numpy as np
 import viser
 from torch import Tensor
 
-from understudy.errors import RunError
+from understudy.errors import RunError, shown
 from understudy.records import checkpoint, runs
 from understudy_play.player import Player
 from understudy_skills.skill import Skill
@@ -94,7 +95,7 @@ class Following:
             skill = _with(self._player.skill, state)
             self._player.take(skill)
         except RunError as error:  # replaced meanwhile, or damaged: what plays goes on
-            self._told.content = f"{_SMALL}{error}</div>"
+            self._told.content = f"{_SMALL}{escape(shown(str(error)))}</div>"
             return
         self._played = iteration
         newest = ", the newest" if iteration == self._kept[-1] else ""

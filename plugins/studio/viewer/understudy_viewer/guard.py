@@ -1,5 +1,5 @@
 """Who may talk to a page: browsers that were led to it, not pages of others that they have open; as many of
-them as like to, who come and go."""
+them as like to, who come and go. And what they may say: what the page asks for, and nothing else."""
 
 from __future__ import annotations
 
@@ -14,13 +14,32 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
 import viser.infra._infra
 import websockets.asyncio.server as server
+from viser import _messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets import Headers
 from websockets.http11 import Request, Response
 
-__all__ = ["guarded"]
+__all__ = ["Door", "guarded"]
+
+#: By name, what a browser says that shows one of our pages. viser listens to more: to whoever asks for it, it
+#: takes in files, and shows the page to the whole internet.
+_TAKEN: dict[str, Any] = {
+    kind.__name__: kind
+    for kind in (
+        _messages.ViewerCameraMessage,
+        _messages.ScenePointerMessage,
+        _messages.TransformControlsDragStartMessage,
+        _messages.TransformControlsUpdateMessage,
+        _messages.TransformControlsDragEndMessage,
+        _messages.GuiUpdateMessage,
+        _messages.CommandTriggerMessage,
+    )
+}
+#: Most bytes of a message, and the largest number in it: m, pixels.
+_LONGEST, _LARGEST = 2**16, 1e6
 
 
 def is_own(headers: Headers, host: str) -> bool:
@@ -69,15 +88,86 @@ class _Messages(AsyncMessageBuffer):
     message_event: asyncio.Event = field(default_factory=_Event)
 
 
+class Door:
+    """Which messages are let in: those of a kind, of numbers and of values that the page can have. The others
+    are as if they had not been sent; viser would set what they say, whatever it is."""
+
+    def __init__(self) -> None:
+        self.gui: viser.GuiApi | None = None  #: the page's, once it is there
+
+    def lets_in(self, raw: Any) -> bool:
+        """Whether the message `raw`, as it was received, is one of those."""
+        try:
+            content = msgspec.msgpack.decode(raw)
+            kind = content.pop("type")
+            message = msgspec.convert(content, _TAKEN[kind])
+        except (
+            msgspec.MsgspecError,
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+        ):
+            return False
+        if isinstance(message, _messages.GuiUpdateMessage):
+            return self._fits(message)
+        if isinstance(message, _messages.ScenePointerMessage):
+            of_click = (message.ray_origin, message.ray_direction, message.screen_pos)
+            return message.event_type == "click" and all(of_click) and _bounded(content)
+        return _bounded(content)
+
+    def _fits(self, message: _messages.GuiUpdateMessage) -> bool:
+        known: Any = {} if self.gui is None else self.gui._gui_input_handle_from_uuid
+        handle = known.get(message.uuid)
+        if handle is None or set(message.updates) != {"value"}:
+            return False
+        before, value = handle.value, message.updates["value"]
+        if isinstance(before, str):
+            return value in handle.options
+        if isinstance(before, bool):
+            return isinstance(value, bool)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and handle.min <= value <= handle.max
+
+    def watched(self, handler: Callable[..., Any]) -> Callable[..., Any]:
+        """The `handler` of connections, which receives from each only what is let in."""
+
+        async def handle(connection: server.ServerConnection) -> None:
+            receive: Any = connection.recv
+
+            async def received() -> str | bytes:
+                while not self.lets_in(raw := await receive()):
+                    pass
+                return raw
+
+            connection.recv = received  # type: ignore[method-assign, assignment]
+            await handler(connection)
+
+        return handle
+
+
+def _bounded(value: Any) -> bool:
+    """Whether all numbers in `value` are finite, and none is too large for a place."""
+    if isinstance(value, dict):
+        return all(map(_bounded, value.values()))
+    if isinstance(value, (list, tuple)):
+        return all(map(_bounded, value))
+    return not isinstance(value, (int, float)) or abs(value) <= _LARGEST
+
+
 @contextlib.contextmanager
-def guarded(host: str) -> Iterator[None]:
-    """Inside, servers of viser that begin at `host` refuse whatever :func:`is_own` does not know, and what is
-    drawn for all may be drawn in any thread. viser itself has no such options."""
+def guarded(host: str, door: Door) -> Iterator[None]:
+    """Inside, servers of viser that begin at `host` refuse whatever :func:`is_own` does not know, hear what the
+    `door` lets in, and what is drawn for all may be drawn in any thread. viser itself has no such options."""
     serve, messages = server.serve, infra.AsyncMessageBuffer
 
     @functools.wraps(serve)
     def ours(
-        *arguments: Any, process_request: Callable[..., Any] | None = None, **more: Any
+        handler: Callable[..., Any],
+        *arguments: Any,
+        process_request: Callable[..., Any] | None = None,
+        **more: Any,
     ) -> Any:
         def check(connection: server.ServerConnection, request: Request) -> Any:
             if not is_own(request.headers, host):
@@ -86,7 +176,8 @@ def guarded(host: str) -> Iterator[None]:
                 return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", length, text)
             return process_request(connection, request) if process_request else None
 
-        return serve(*arguments, process_request=check, **more)
+        more |= {"process_request": check, "max_size": _LONGEST}
+        return serve(door.watched(handler), *arguments, **more)
 
     server.serve, infra.AsyncMessageBuffer = ours, _Messages  # type: ignore[misc]
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import socket
 import threading
@@ -48,14 +49,23 @@ def free_port(host: str, port: int) -> int:
     ConfigError
         this machine has no such address, or no port of it is free.
     """
+    if not host:  # which would be all addresses that this machine has
+        raise ConfigError(
+            "--host names no address, as of an empty variable. Leave it out, or write 0.0.0.0 for all "
+            "that this machine has."
+        )
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    reason: Exception | None = None
+    reason = "it is no name of a machine"
     for candidate in range(port, min(port + 100, 2**16)):
         try:
             with socket.create_server((host, candidate), family=family) as found:
                 return int(found.getsockname()[1])
-        except (OSError, UnicodeError, TypeError) as error:  # no port, or no name of a machine
-            reason = error
+        except OSError as error:
+            reason = str(error.strerror).partition(" (while")[0]  # as it tried to bind what
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                break  # no other port is free either
+        except (UnicodeError, TypeError):
+            break
     raise ConfigError(
         f"The page cannot be served at {host}, port {port} (--host, --port): {reason}."
     )
