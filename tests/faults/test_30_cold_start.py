@@ -23,7 +23,7 @@ print(sorted(heavy & sys.modules.keys()), [p.status for p in plugins.loaded if p
 @pytest.mark.parametrize(
     "words",
     [["--help"], ["plugins"], ["tasks"], ["experiments"], ["train"], ["train", "--help"], ["resume", "--help"],
-     ["sweep"], ["describe", "learner"], ["runs"], ["runs", "--json"], ["cite", "runs/run"], ["licence", "runs/run"],
+     ["sweep"], ["describe", "learner"], ["describe", "reward"], ["runs"], ["runs", "--json"], ["cite", "runs/run"], ["licence", "runs/run"],
      ["completion", "bash"], ["new", "plugin", "tall"]],
     ids=" ".join,
 )  # fmt: skip

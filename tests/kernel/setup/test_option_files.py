@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import lazy_choices
 import pytest
 from hydra.core.default_element import ResultDefault
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
+from understudy.errors import ConfigError
 from understudy.options import plain
 from understudy.setup import option_files
 from understudy.setup.composition import compose_raw
@@ -19,6 +23,13 @@ from understudy.setup.plugins import Plugins
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 
 from composing import hydras
+
+
+@pytest.fixture(autouse=True)
+def hydra_itself() -> Iterator[None]:
+    """Here Hydra makes its tables of choices as it does for users."""
+    with lazy_choices.not_used():
+        yield
 
 
 @pytest.fixture
@@ -167,3 +178,48 @@ def test_a_default_may_be_named_by_another_groups_choice(tmp_path: Path) -> None
     (tmp_path / "config.yaml").write_text("defaults: [one: a, other: '${one}', _self_]\n")
     assert compose([tmp_path], []).other.x == 1
     assert compose([tmp_path], ["one=b"]).other.x == 2
+
+
+def composed(folder: Path, overrides: list[str]) -> object:
+    """What is composed of the files in `folder`, or the error that says why nothing is."""
+    option_files._merged.clear()
+    try:
+        return OmegaConf.to_container(compose([folder], overrides))
+    except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
+        return f"{type(error).__name__}: {error}"
+
+
+@pytest.mark.parametrize("overrides", [[], ["part=b"], ["part=[a,b]"], ["~part"]], ids=str)
+@pytest.mark.parametrize(
+    ("defaults", "fails"),
+    [
+        ("[part: a, other: '${part}', _self_]", False),
+        ("[part: a, other: '${part}', third: '${other}']", True),
+        ("[part: a, part@more: '${part}', 'optional other': z]", False),
+        ("[part: a, 'other/${part}', part/a]", False),
+        ("[part: a, other: [a, b], _self_]", False),
+        ("[part: null, {other: null}, {override part: b}]", False),
+        ("[part: a, other: '${nothing}']", True),
+        ("[part: a, other: '${defaults.0.part}']", True),
+        ("[part: 3]", True),
+        ("[part: {a: 1}]", True),
+        ("[part: [1, {a: 2}]]", True),
+        ("[5]", True),
+        ("[[part]]", True),
+        ("[part: '???']", True),
+        ("[nosuch: '${part}', part: a]", True),
+    ],
+)
+def test_what_other_tests_compose_is_that(
+    defaults: str, fails: bool, overrides: list[str], tmp_path: Path
+) -> None:
+    """Errors included, where tables of choices wait until they are asked for."""
+    for group in ("part", "other", "third"):
+        (tmp_path / group).mkdir()
+        for name in ("a", "b"):
+            (tmp_path / group / f"{name}.yaml").write_text(f"x: {group}-{name}\n")
+    (tmp_path / "config.yaml").write_text(f"defaults: {defaults}\n")
+    expected = composed(tmp_path, overrides)
+    assert overrides or isinstance(expected, str) == fails, expected
+    lazy_choices.use()
+    assert composed(tmp_path, overrides) == expected

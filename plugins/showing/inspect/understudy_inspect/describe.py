@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import json
 import re
@@ -10,6 +11,8 @@ import textwrap
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.machinery import PathFinder
+from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -308,9 +311,22 @@ def _table(title: str, options: Mapping[str, Option], comments: Mapping[str, str
 
 
 def _sentences(factory: Any) -> dict[str, str]:
-    from understudy.testing.sentences import sentences  # and torch, which lists do without
+    return _reader().sentences(factory)
 
-    return sentences(factory)
+
+@functools.cache
+def _reader() -> Any:
+    """The module ``understudy.testing.sentences``, alone: its package imports torch, which takes seconds, and lists and
+    groups of options do without."""
+    package = find_spec("understudy.testing")
+    spec = package and PathFinder.find_spec(
+        "understudy.testing.sentences", package.submodule_search_locations
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _rows(
