@@ -55,6 +55,19 @@ def turning(turn: float) -> Clip:
     return replace(clip, rotations=pose, root_position=place)
 
 
+def test_a_clip_that_is_too_long_to_be_followed_is_refused(
+    character: Character, layout: Layout
+) -> None:
+    """At once: its table would have filled the memory."""
+    walk = generated_walk()
+    long = replace(walk, times=walk.times * 3600 * 8)
+    with pytest.raises(
+        FileError,
+        match=r"lasts 3.* s, and at control\.frequency=30 this figure follows at most \d+\. Cut it",
+    ):
+        ReferenceMotion(long, character, layout, control_dt=DT)
+
+
 def somersault() -> Clip:
     """The walk with one whole turn about y: the root's quaternion ends as minus itself."""
     clip = generated_walk()

@@ -41,7 +41,7 @@ def test_depth_in_the_neutral_person() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("initial_states.seconds=1e-6", r"initial_states\.seconds=1e-06 is not possible: .* and 2 are the most; give at least 0\.4"),
+        ("initial_states.seconds=1e-6", r"initial_states\.seconds=1e-06 is not possible: .* and 2 are the most; give at least 0\.38"),
         ("scenes.cloth.fabric.gap=1", r"fabric\.gap=1\.0 .* at most 0\.05"),
         ("scenes.cloth.fabric.thickness=1", r"fabric\.thickness=1\.0 .* at most 0\.2"),
     ],
