@@ -56,16 +56,15 @@ def turning(turn: float) -> Clip:
 
 
 def test_a_clip_that_is_too_long_to_be_followed_is_refused(
-    character: Character, layout: Layout
+    character: Character, layout: Layout, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At once: its table would have filled the memory."""
-    walk = generated_walk()
-    long = replace(walk, times=walk.times * 3600 * 8)
+    """Its table would have filled the memory."""
+    monkeypatch.setattr(module, "MAX_ROTATIONS", 13 * 4 * 30)
     with pytest.raises(
         FileError,
-        match=r"lasts 3.* s, and at control\.frequency=30 this figure follows at most \d+\. Cut it",
+        match=r"lasts 1\.05 s, and at control\.frequency=30 this figure follows at most 1\. Cut it",
     ):
-        ReferenceMotion(long, character, layout, control_dt=DT)
+        ReferenceMotion(generated_walk(), character, layout, control_dt=DT)
 
 
 def somersault() -> Clip:
