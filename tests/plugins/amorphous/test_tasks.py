@@ -444,6 +444,31 @@ def test_piles_of_several_blocks_are_refused() -> None:
         environment("experiment=amorphous/spread", "scene.blocks=4")
 
 
+@pytest.mark.parametrize(
+    ("task", "words", "sentence"),
+    [
+        ("gather", "initial_states.distance=[5,6]", r"along x .* from -6 to 6 m, and the tool goes from -4.5 to 4.5 m"),
+        ("gather", "initial_states.goal=[0,100]", r"initial_states.goal=.0.0, 100.0. is not possible: along y"),
+        ("gather", "initial_states.goal_spread=5", "initial_states.goal="),
+        ("gather", "initial_states.tool=[50,60]", "initial_states.tool="),
+        ("gather", "initial_states.tool=[0,0]", "blocks lie up to .* m from the goal, and the tool begins outside of them"),
+        ("gather", "initial_states.distance=[0.5,2.8]", "the middles of two of 4 blocks may be .* m apart, and one is .* across"),
+        ("gather", "scene.spacing=1", "Put them farther away, or take fewer or smaller ones|the tool begins outside"),
+        ("gather", "scene.blocks=1000", "scene.blocks=1000 is not possible: side by side they would reach 4e[+]03 m"),
+        ("spread", "initial_states.spread=100", "initial_states.spread=100.0 is not possible: along x"),
+        ("spread", "initial_states.tool=0", "the block reaches .* m from the middle, and the tool begins outside of it"),
+        ("spread", "initial_states.tool=1000", "initial_states.tool=1000.0 is not possible"),
+        ("flip", "initial_states.spread=5", "from the pan's middle, and the pan 0.9 m"),
+        ("flip", "scene.block=[30,30,2]", "a smaller block"),
+        ("flip", "scene.tool=scraper", "Set scene.tool=pan"),
+        ("flip", "initial_states.height=1000", r"along z .* and the tool goes from 0.5 to 2 m \(actuation.limits.z\)"),
+    ],
+)  # fmt: skip
+def test_what_is_out_of_reach_is_refused(task: str, words: str, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        environment(f"experiment=amorphous/{task}", "num_worlds=2", words)
+
+
 def test_pictures_are_png_files() -> None:
     import io
 

@@ -55,6 +55,18 @@ def turning(turn: float) -> Clip:
     return replace(clip, rotations=pose, root_position=place)
 
 
+def test_a_clip_that_is_too_long_to_be_followed_is_refused(
+    character: Character, layout: Layout, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its table would have filled the memory."""
+    monkeypatch.setattr(module, "MAX_ROTATIONS", 13 * 4 * 30)
+    with pytest.raises(
+        FileError,
+        match=r"lasts 1\.05 s, and at control\.frequency=30 this figure follows at most 1\. Cut it",
+    ):
+        ReferenceMotion(generated_walk(), character, layout, control_dt=DT)
+
+
 def somersault() -> Clip:
     """The walk with one whole turn about y: the root's quaternion ends as minus itself."""
     clip = generated_walk()

@@ -510,6 +510,48 @@ def test_a_model_with_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
+        ('damping=".2"', 'damping="-1"', "dof_damping of 'left_hip_x' is -1; let it be 0 or more"),
+        ('armature=".01"', 'armature="-1"', "dof_armature of '.*' is -1"),
+        ("<default>", '<default><geom friction="1 -1 0"/>', "geom_friction.* is -1"),
+        ("<default>", '<option viscosity="-1"/><default>', "viscosity is -1"),
+        ('range="0 2.5"', 'range="2.5 0"', "jnt_range of 'left_knee' begins at 2.5, above its end at 0"),
+        ('mass="6"', 'mass="6e9"', "body_mass of 'pelvis' is 6e[+]09 kg, more than 1e[+]06; lengths are metres"),
+        ("<default>", '<option gravity="0 0 -1e30"/><default>', "gravity of 1e[+]30 m/s² is more than 10000"),
+    ],
+)  # fmt: skip
+def test_numbers_that_nothing_has_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    """MuJoCo compiles them: a joint that drives itself, or one whose limits are none."""
+    assert old in robot_xml()
+    (tmp_path / "robot.xml").write_text(robot_xml().replace(old, new, 1))
+    with pytest.raises(FileError, match=f"does not compile: its {said}"):
+        load(tmp_path / "robot.xml")
+
+
+def test_a_figure_in_millimetres_is_named(tmp_path: Path) -> None:
+    """With masses of its own it weighs what it should."""
+    text = re.sub(
+        r'(pos|fromto|size)="([^"]*)"',
+        lambda found: f'{found[1]}="{" ".join(str(1000 * float(x)) for x in found[2].split())}"',
+        robot_xml(),
+    )
+    (tmp_path / "robot.xml").write_text(text)
+    with pytest.raises(
+        ConfigError, match=r"m apart\. Lengths of a model are metres; if its unit is the millimetre"
+    ):
+        load(tmp_path / "robot.xml")
+
+
+def test_more_joints_than_a_clip_may_have(tmp_path: Path) -> None:
+    """At once; the servos of each would be worked out for minutes."""
+    more = "".join('<body><joint/><geom size=".01"/></body>' for _ in range(1000))
+    (tmp_path / "robot.xml").write_text(added('<body name="left_shin"', more))
+    with pytest.raises(ConfigError, match="of its bodies move, and a clip has at most 1000 joints"):
+        load(tmp_path / "robot.xml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
         ('<body name="left_shin"', '<body name="empty"><joint/></body><body name="left_shin"', "(element 'empty')"),
         ("<mujoco", "<mujoco bogus='1'", "'bogus' (element 'mujoco')"),
         ('<body name="left_shin"', '<body name="empty"><joint/></body><body name="left_shin"', "; give it a mass"),

@@ -760,6 +760,7 @@ def test_plans_have_all_phases(built: Built) -> None:
     ("words", "said"),
     [
         (["scene.object=null"], "needs an object on the table"),
+        (["scene.object.sizes=[1e-5]"], "scene.object.sizes=[1e-05] is not possible: it must be at least 0.001"),
         (["scene.object.sizes=[0.03]"], "none of table 5.2, where it is from 0.5 to 1 cm"),
         (["scene.object={kind: box, sizes: [0.01, 0.05, 0.01]}"], "A box with a length of 5 cm is none"),
         (["scene.object={kind: box, sizes: [0.01]}"], "kind=box has 3 of them"),

@@ -38,6 +38,19 @@ def test_depth_in_the_neutral_person() -> None:
     assert found[3] == pytest.approx(0.10), "the middle of the head's upper sphere"
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("initial_states.seconds=1e-6", r"initial_states\.seconds=1e-06 is not possible: .* and 2 are the most; give at least 0\.38"),
+        ("scenes.cloth.fabric.gap=1", r"fabric\.gap=1\.0 .* at most 0\.05"),
+        ("scenes.cloth.fabric.thickness=1", r"fabric\.thickness=1\.0 .* at most 0\.2"),
+    ],
+)  # fmt: skip
+def test_what_no_gripper_or_cloth_does_is_refused(words: str, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        load_experiment(["experiment=dressing/sleeve_small", words])
+
+
 def test_the_track_ends_above_the_shoulder() -> None:
     """Section 8.3: the gown moves toward the location of the shoulder when the task began."""
     model = PersonScene(PersonScene.Options()).spec().compile()

@@ -212,9 +212,12 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
             "no frame follows MOTION",
         ),
         ("Frames: 2", "Frames: 999999999", "are announced, but 2 lines"),
+        ("Frames: 2", "Frames: 1000000000", "1000000000 frames are announced, but 2 lines"),
+        ("Frames: 2", "Frames: -6", "after MOTION, and 'Frames' is '-6'"),
         ("Frames: 2", "Frames: two", "'Frames: <count>' and 'Frame Time: <seconds>'"),
         ("Frame Time: 0.025\n", "", "'Frame Time: <seconds>'"),
         ("0.025", "0", "'Frame Time' must be seconds above 0"),
+        ("0.025", "-0.025", "'Frame Time' must be seconds above 0 and up to 1, not '-0.025'"),
         ("0.025", "nan", "'Frame Time' must be seconds above 0"),
         ("-30  50", "-30", "line 29: 10 numbers are needed, not 9"),
         ("-30  50", "-30  x50", "line 29: 'x50' is not a number"),
@@ -456,6 +459,7 @@ def dialects() -> Iterator[str]:
     *above, first, second = TEXT.splitlines()
     for end in ("", ","):
         yield "\n".join((*above, *(",".join(row.split()) + end for row in (first, second))))
+    yield "\n".join((*above, f"{first} {second}"))
     for end in (
         "Exported by a program 3.1",
         "END",

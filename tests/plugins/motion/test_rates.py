@@ -200,3 +200,15 @@ def test_what_high_speed_cameras_and_motors_record_is_read(
 def test_a_rate_of_microseconds_is_refused_where_it_is_given() -> None:
     with pytest.raises(ConfigError, match=r"rate=33333.* the µs between two, the rate is 30"):
         ReadOptions(rate=33_333)
+
+
+def test_a_clip_of_years_is_refused(tmp_path: Path, registry: Registry) -> None:
+    """Times that are no seconds, in a file that needs none said."""
+    path = WRITE["npz"](tmp_path)
+    with np.load(path) as arrays:
+        made = dict(arrays)
+    np.savez(path, **{**made, "times": 1e9 * made["times"]})
+    with pytest.raises(
+        FileError, match=r"it lasts .*e\+\d+ s, and nobody records longer than 100000"
+    ):
+        read_clip(path, registry)

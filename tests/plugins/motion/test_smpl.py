@@ -179,6 +179,11 @@ def test_rates(tmp_path: Path) -> None:
             np.zeros((6, 20, 3)),
             "60 pose values per frame are no body",
         ),
+        (
+            "poses",
+            np.zeros((6, 3, 22)),
+            r"'poses': its shape is \(6, 3, 22\); write it as \(frames, joints, 3\)",
+        ),
         ("poses", np.zeros((6, 66), dtype=complex), "'poses': holds complex128"),
         ("poses", np.full((6, 66), np.nan), "frame 0: 'poses' is not finite"),
         ("poses", np.zeros(396), r"'poses': its shape is \(396,\)"),

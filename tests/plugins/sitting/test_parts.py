@@ -197,6 +197,14 @@ def test_a_bank_of_another_figure_is_refused(tmp_path: Path) -> None:
         )  # fmt: skip
 
 
+@pytest.mark.parametrize("words", ["initial_states.distance=0.3", "initial_states.spread=1.9"])
+def test_figures_do_not_begin_within_the_chair(words: str) -> None:
+    with pytest.raises(
+        ConfigError, match=r"from the seat's middle, and the chair reaches 0\.311 m"
+    ):
+        build("experiment=sitting/sit", "initial_states=sitting/around_chair", words)
+
+
 def test_zones_of_figure_4() -> None:
     built = build(
         "experiment=sitting/sit", "num_worlds=512", "initial_states=sitting/around_chair",

@@ -50,6 +50,21 @@ def test_a_run_keeps_the_photo_of_its_room(tmp_path: Path) -> None:
     assert Image.open(photo).getpixel((0, 0)) == (10, 20, 30)
 
 
+def test_a_chair_within_a_wall_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "room.json").write_text(json.dumps({
+        "camera": {"position": [0, 0, 1], "look_at": [1, 0, 1], "fov": 50},
+        "objects": [{"label": "chair", "centre": [2, 1, 0.45], "size": [0.5, 0.5, 0.9], "heading": 0.3},
+                    {"label": "wall", "centre": [0, 1, 1.2], "size": [0.1, 6, 2.4], "heading": 1.57},
+                    {"label": "chair", "centre": [2, 2, 0.45], "size": [0.5, 0.5, 0.9]}],
+    }))  # fmt: skip
+    file = str(tmp_path / "room.json")
+    with pytest.raises(
+        FileError, match=r"room\.chair=0: the middle of this chair is within a wall"
+    ):
+        Room(RoomOptions(file), installed().registry, Inputs())
+    assert len(Room(RoomOptions(file, chair=1), installed().registry, Inputs()).boxes) == 2
+
+
 def test_the_example_room_is_in_the_way() -> None:
     """Its furniture collides with the figure, and the chair stands free."""
     built = build("experiment=sitting/sit", "num_worlds=2", "+room={}")

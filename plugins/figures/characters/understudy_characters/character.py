@@ -26,6 +26,7 @@ from understudy.setup.registry import Registry
 from understudy.task import Context
 from understudy_characters.joint import Joint
 from understudy_motion.clip import Clip, Skeleton, angle_names, sample
+from understudy_motion.limits import MAX_JOINTS
 from understudy_mujoco.scene import MjcfFile
 from understudy_tensors import rotations
 
@@ -37,6 +38,8 @@ _FREE, _BALL, _SLIDE, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_SLIDE),
     int(mujoco.mjtJoint.mjJNT_HINGE),
 )
+_LARGEST = 100.0
+"""m that a figure's joints are apart at most."""
 #: Of names that can only be those of a model's file, in lower case.
 _SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -151,7 +154,7 @@ class Character:
     Raises
     ------
     ConfigError
-        gravity that is not along -z, no free root, a root without joints, a slide joint, a ball beside hinges, more than
+        gravity that is not along -z, no free root, more joints than a clip may have, joints more than 100 m apart, a root without joints, a slide joint, a ball beside hinges, more than
         three hinges of one body, or one with a reference angle.
     """
 
@@ -175,9 +178,21 @@ class Character:
         root = max(free, key=lambda j: carried[model.jnt_bodyid[j]])
         self.root = int(model.jnt_bodyid[root])
         self.root_address = int(model.jnt_qposadr[root])
+        moving = int(((model.body_rootid == self.root) & (model.body_jntnum > 0)).sum())
+        if moving > MAX_JOINTS:
+            raise ConfigError(
+                f"Model '{name}' is no character: {moving} of its bodies move, and a clip has at most {MAX_JOINTS} joints. "
+                "Take out the joints of those that need not move."
+            )
         self.joints = tuple(self._joints())
         self.joint_names = tuple(joint.name for joint in self.joints)
         self._at_rest()
+        size = float(np.ptp(self.rest_positions, axis=0).max())
+        if size > _LARGEST:
+            raise ConfigError(
+                f"Model '{name}' is no character: its joints are up to {size:.4g} m apart. Lengths of a model are metres; "
+                "if its unit is the millimetre, divide all of them by 1000."
+            )
 
     def _joints(self) -> list[Joint]:
         model = self.model

@@ -11,11 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import FileError
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout
 from understudy_characters.servos import lags
 from understudy_characters.state import poses_of
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
+from understudy_motion.limits import MAX_ROTATIONS
 from understudy_motion.section import Floor
 from understudy_mujoco.scene import model_digest
 from understudy_tensors import rotations
@@ -86,6 +88,12 @@ class ReferenceMotion:
         self.control_dt, self._root = control_dt, layout.root_address
         self._root_dof = layout.root_dof
         rows = max(2, math.ceil(clip.duration / control_dt * OVERSAMPLING) + 1)
+        if rows * len(character.joints) > MAX_ROTATIONS:
+            most = MAX_ROTATIONS / len(character.joints) / OVERSAMPLING * control_dt
+            raise FileError(
+                f"Clip {clip.source or clip.name} lasts {clip.duration:.4g} s, and at control.frequency={1 / control_dt:g} this "
+                f"figure follows at most {most:.0f}. Cut it."
+            )
         times = torch.linspace(0.0, clip.duration, rows, dtype=torch.float64)
         fields = self._tables(character, layout, times, floor)
         self.sinks = float(fields["reference_link_clearances"].min()) < -1e-9  #: into the floor

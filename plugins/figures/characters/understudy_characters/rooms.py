@@ -51,6 +51,13 @@ class Box:
     size: tuple[float, float, float]
     heading: float
 
+    def holds(self, point: tuple[float, float, float]) -> bool:
+        """Whether a `point` of the scene is within the box."""
+        x, y, z = (p - c for p, c in zip(point, self.centre, strict=True))
+        cosine, sine = math.cos(self.heading), math.sin(self.heading)
+        own = (cosine * x + sine * y, cosine * y - sine * x, z)
+        return all(2 * abs(a) < size for a, size in zip(own, self.size, strict=True))
+
 
 @dataclass(frozen=True)
 class Camera:

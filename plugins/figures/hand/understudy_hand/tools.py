@@ -158,7 +158,7 @@ class Thing:
             raise ValueError(
                 f"sizes={list(self.sizes)} are not possible: kind={self.kind} has {count} of them."
             )
-        check_range(self, "sizes", above=0, most=1.0)
+        check_range(self, "sizes", least=1e-3, most=1.0)
         check_range(self, "density", "friction", above=0)
         check_range(self, "rolling", least=0, most=0.01)
 

@@ -10,7 +10,7 @@ import numpy as np
 from understudy.errors import FileError
 from understudy_motion.clip import MAX_DISTANCE, Skeleton
 
-__all__ = ["MAX_ROTATIONS"]
+__all__ = ["MAX_JOINTS", "MAX_ROTATIONS"]
 
 MAX_BYTES = 256 * 2**20
 MAX_JOINTS = 1000

@@ -33,6 +33,8 @@ SLOWEST_RATE = 1.0
 """Frames per second of a motion, at least."""
 FASTEST_RATE = 10_000.0
 """And at most: high-speed cameras record people at 2000, robots log a motor at up to 10 000."""
+LONGEST = 1e5
+"""s that a clip lasts at most, a day and a bit."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,11 @@ def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> 
         raise FileError(
             f"Clip {path}: its frames are {1.0 / rate:.3g} s apart, {rate:.4g} a second, and nothing that moves is recorded "
             "so often. Write its times in seconds, or give motion.rate (--source-rate)."
+        )
+    if clip.duration > LONGEST:
+        raise FileError(
+            f"Clip {path}: it lasts {clip.duration:.4g} s, and nobody records longer than {LONGEST:g}. Write its times in seconds, or "
+            "give motion.rate (--source-rate)."
         )
     return clip
 

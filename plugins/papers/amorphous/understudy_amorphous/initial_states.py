@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -14,11 +15,13 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
-from understudy_amorphous.scene import AmorphousScene
-from understudy_amorphous.tool import orientation
+from understudy_amorphous.scene import PAN_RADIUS, AmorphousScene
+from understudy_amorphous.tool import LIMITS, orientation
 
 #: m, how far away what takes no part is.
 FAR = 50.0
+#: m, that sums of lengths may be off.
+_ROUND = 1e-6
 
 
 class _Blocks:
@@ -33,9 +36,28 @@ class _Blocks:
         block = torch.as_tensor(scene.block, dtype=torch.float32)
         self.block = block.to(context.device)  #: (B, 3) m
         self.count = scene.options.blocks  #: K
+        self.tool = scene.options.tool
+        #: m, of the circle around a block, seen from above.
+        self.radius = float(np.hypot(*scene.block[:, :2].T).max()) + scene.radius
+        self._limits: Mapping[str, tuple[float, float]] = context.once(LIMITS, dict)
         parked = torch.as_tensor(scene.place(self.count), dtype=torch.float32)
         #: (K, B, 3) m, where blocks are that no episode uses: far from the table
         self.parked = parked.view(self.count, -1, 3).to(context.device) + FAR
+
+    def need_reach(self, option: str, value: object, axis: str, least: float, most: float) -> None:
+        """Refuse what an `option` places along an `axis` from `least` to `most` m, if the tool cannot get there.
+
+        Raises
+        ------
+        ConfigError
+            names the option and the tool's limits.
+        """
+        low, high = self._limits.get(axis, (-math.inf, math.inf))
+        if not low - _ROUND <= least <= most <= high + _ROUND:
+            raise ConfigError(
+                f"initial_states.{option}={value} is not possible: along {axis} it places what episodes begin with from "
+                f"{least:.3g} to {most:.3g} m, and the tool goes from {low:g} to {high:g} m (actuation.limits.{axis})."
+            )
 
     def put(self, centres: Tensor, turns: Tensor) -> Tensor:
         """(N, K, B, 3) m: blocks with the middle of their lower sides at `centres` (N, K, 3), turned
@@ -94,8 +116,34 @@ class AroundGoal(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
         self._blocks = _Blocks(context, "initial_states 'amorphous/clusters'")
+        self._check()
         self._goal = torch.tensor(options.goal, device=context.device)
         self._number = torch.arange(self._blocks.count, device=context.device)
+
+    def _check(self) -> None:
+        """Refuse blocks in one another or in the tool, and what the tool cannot get to."""
+        options, blocks = self.options, self._blocks
+        for axis, middle in zip("xy", options.goal, strict=True):
+            for name, value, aside in (
+                ("goal", list(options.goal), options.goal_spread),
+                ("distance", list(options.distance), options.goal_spread + options.distance[1]),
+                # a tool that begins beyond its limits is at them with the first decision
+                ("tool", list(options.tool), options.tool[0]),
+            ):
+                blocks.need_reach(name, value, axis, middle - aside, middle + aside)
+        if options.tool[0] < (outside := options.distance[1] + blocks.radius):
+            raise ConfigError(
+                f"initial_states.tool={list(options.tool)} is not possible: blocks lie up to {outside:.3g} m from the goal, and "
+                "the tool begins outside of them."
+            )
+        # of two neighbours, as near to one another as their sectors let them be
+        apart = 2 * options.distance[0] * math.sin(math.pi * (1 - options.spread) / blocks.count)
+        if blocks.count > 1 and apart < 2 * blocks.radius:
+            raise ConfigError(
+                f"initial_states.distance={list(options.distance)} is not possible: with spread={options.spread:g} the middles of "
+                f"two of {blocks.count} blocks may be {apart:.3g} m apart, and one is {2 * blocks.radius:.3g} m across. Put "
+                "them farther away, or take fewer or smaller ones."
+            )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options, blocks = self.options, self._blocks
@@ -137,7 +185,16 @@ class Pile(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        self._blocks = _Blocks(context, "initial_states 'amorphous/pile'", only=1)
+        self._blocks = blocks = _Blocks(context, "initial_states 'amorphous/pile'", only=1)
+        for axis in "xy":
+            for name in ("spread", "tool"):
+                far = getattr(options, name)
+                blocks.need_reach(name, far, axis, -far, far)
+        if options.tool < (outside := options.spread + 0.5 * math.sqrt(2) * blocks.radius):
+            raise ConfigError(
+                f"initial_states.tool={options.tool:g} is not possible: the block reaches {outside:.3g} m from the middle, and the "
+                "tool begins outside of it."
+            )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options = self.options
@@ -162,7 +219,19 @@ class OnTool(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        self._blocks = _Blocks(context, "initial_states 'amorphous/on_tool'", only=1)
+        self._blocks = blocks = _Blocks(context, "initial_states 'amorphous/on_tool'", only=1)
+        if blocks.tool != "pan":
+            raise ConfigError(
+                f"initial_states 'amorphous/on_tool' lays a block on the tool, and on a {blocks.tool} none stays. Set "
+                "scene.tool=pan, or choose other initial_states."
+            )
+        reach = math.sqrt(2) * options.spread + blocks.radius
+        if reach > PAN_RADIUS:
+            raise ConfigError(
+                f"initial_states.spread={options.spread:g} is not possible: the block would reach {reach:.3g} m from the pan's "
+                f"middle, and the pan {PAN_RADIUS:g} m. Give less, or a smaller block (scene.block)."
+            )
+        blocks.need_reach("height", options.height, "z", options.height, options.height)
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options = self.options

@@ -77,13 +77,23 @@ def scraper(width: float, height: float, thickness: float) -> Tool:
     return Tool((Box(half, (0.0, 0.0, 0.5 * height)),), friction=0.2)
 
 
+PAN_RADIUS = 0.9  #: m
+
 TOOLS: dict[str, Callable[[], Tool]] = {
     "scraper": lambda: scraper(width=1.2, height=0.8, thickness=0.1),
-    "pan": lambda: Tool(pan(radius=0.9, height=0.3, thickness=0.1, handle=1.2), friction=0.4),
+    "pan": lambda: Tool(
+        pan(radius=PAN_RADIUS, height=0.3, thickness=0.1, handle=1.2), friction=0.4
+    ),
 }
 
 
 _PARTICLES = 100_000  #: the most that a scene has
+_ROW = 500.0  #: m of blocks beside one another; what is 1 km away has flown
+
+
+def row_gap(block: tuple[int, int, int], spacing: float) -> float:
+    """m from one of the blocks that stand in a row to the next."""
+    return 4.0 * max(block) * spacing
 
 
 class AmorphousScene(ParticleScene):
@@ -117,6 +127,11 @@ class AmorphousScene(ParticleScene):
             check_range(self, "spacing", above=0, most=1e3)
             if min(self.block) < 1:
                 raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")
+            if (row := self.blocks * row_gap(self.block, self.spacing)) > _ROW:
+                raise ValueError(
+                    f"blocks={self.blocks} is not possible: side by side they would reach {row:.3g} m, and at most {_ROW:g} are "
+                    "possible. Give fewer or smaller ones, or less spacing."
+                )
 
     recorded = (*ParticleScene.recorded, "goal")
 
@@ -139,7 +154,7 @@ class AmorphousScene(ParticleScene):
 
     def place(self, blocks: int) -> np.ndarray:
         """(blocks · B, 3) m: blocks in a row, where nothing touches anything."""
-        gap = 4.0 * max(self.options.block) * self.options.spacing
+        gap = row_gap(self.options.block, self.options.spacing)
         along = np.arange(blocks, dtype=np.float64) * gap
         shift = np.stack([along, np.zeros(blocks), np.zeros(blocks)], axis=1)
         return (shift[:, None] + self.block[None]).reshape(-1, 3)

@@ -16,6 +16,8 @@ from understudy_tensors import rotations
 
 #: q = [x, y, z, φ, ψ, θ] (section 3.5): position in m, then turns about the tool's x, y and z axes.
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+#: What the actuation shares with where episodes begin: by axis, from where to where the tool may go.
+LIMITS = "amorphous/limits"
 
 
 def orientation(angles: Tensor) -> Tensor:
@@ -114,6 +116,7 @@ class ToolTarget(Actuation):
                 f"actuation.k_d={options.k_d:g} is unstable in eq. 5 at control.frequency="
                 f"{1 / self._dt:g}. Raise the frequency above {options.k_d / 2:g} Hz, or lower k_d."
             )
+        context.once(LIMITS, lambda: dict(options.limits))
         self.action_space = box(len(options.reach))
         place = torch.zeros(len(options.reach), 6)
         for row, (name, reach) in enumerate(options.reach.items()):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +22,8 @@ from understudy_dressing.shirt import ShirtScene, Worn
 from understudy_dressing.sleeve import HangingScene
 from understudy_dressing.waypoints import IN_SLEEVE
 
+#: m/s that a gripper goes.
+_FASTEST = 2.0
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
 #: So many along an axis where the person's pose is looked at with its noise.
@@ -49,6 +53,15 @@ class Track(InitialStates):
                 check_range(self, name, least=-3, most=3)
             if any(a > b for a, b in zip(self.low, self.high, strict=True)):
                 raise ValueError(f"low={self.low} is not possible: high={self.high} is below it.")
+            ways = [
+                math.dist(corner, self.end)
+                for corner in itertools.product(*zip(self.low, self.high, strict=True))
+            ]
+            if (speed := max(ways) / self.seconds) > _FASTEST:
+                raise ValueError(
+                    f"seconds={self.seconds:g} is not possible: the gripper would go {max(ways):.3g} m to end={self.end} at "
+                    f"{speed:.3g} m/s, and {_FASTEST:g} are the most; give at least {max(ways) / _FASTEST:.2g}."
+                )
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options

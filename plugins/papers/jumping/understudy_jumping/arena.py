@@ -25,6 +25,12 @@ Number = TypeVar("Number", float, Tensor)
 
 #: The mat's body; ``mocap_pos/mat`` is where the middle of its surface is.
 MAT = "mat"
+_EARTH = 9.81
+"""m/s²"""
+_HIGHEST, _WIDEST = 4.0, 12.0
+"""m over which anybody jumps where gravity is the earth's, with room to spare: the records are 2.45 and 8.95."""
+_LOW_MAT = 0.1
+"""m that a mat may have whatever the obstacle."""
 _OBSTACLE, _GAP, _THICK = "obstacle", 0.02, 0.8
 
 
@@ -48,13 +54,26 @@ class ArenaOptions:
     def __post_init__(self) -> None:
         check_range(self, "height", "width", "length", "mat", "drop", "mat_height", most=1e3)
         check_range(self, "gravity", most=1e4)
-        check_range(self, "length", "mat", "drop", "softness", "gravity", above=0)
+        check_range(self, "length", "mat", least=0.5)
+        check_range(self, "drop", "softness", "gravity", above=0)
         for name in ("height", "width", "schedule", "mat_height"):
             low, high = getattr(self, name)
             if low < 0 and name != "schedule":  # difficulties: ρ may be above 0 from the start
                 raise ValueError(f"{name}={low, high} is not possible: give 0 or more.")
             if low > high:
                 raise ValueError(f"{name}={low, high} is not possible: the first is the lower one.")
+        for name, most in (("height", _HIGHEST), ("width", _WIDEST)):
+            most *= _EARTH / self.gravity
+            if (high := getattr(self, name)[1]) > most:
+                raise ValueError(
+                    f"{name}={getattr(self, name)} is not possible: nobody gets over {high:g} m at gravity={self.gravity:g}; "
+                    f"give at most {most:.3g}."
+                )
+        if self.mat_height[0] > max(self.height[0], _LOW_MAT):
+            raise ValueError(
+                f"mat_height={self.mat_height} is not possible: the mat would be higher than the obstacle, which begins at height="
+                f"{self.height[0]:g}."
+            )
         if self.schedule[0] == self.schedule[1]:
             raise ValueError(f"schedule={self.schedule} is not possible: they must differ.")
 

@@ -27,6 +27,10 @@ EPISODE_FIELDS: Mapping[str, Shape] = {
 }  # fmt: skip
 
 
+_FARTHEST = 20.0
+"""m before an obstacle, twice as far as the longest jump."""
+
+
 @dataclass(frozen=True)
 class Distance:
     """How far the root is from the obstacle at the take-off, m: near + (far - near) ρ + ahead sin α.
@@ -39,8 +43,8 @@ class Distance:
     ahead: float = 0.8  #: m, nearer by so much straight in front of the obstacle
 
     def __post_init__(self) -> None:
-        check_range(self, "near", "far", above=0, most=1e3)
-        check_range(self, "ahead", least=0, most=1e3)
+        check_range(self, "near", "far", above=0, most=_FARTHEST)
+        check_range(self, "ahead", least=0, most=_FARTHEST)
 
     def at(self, rho: Tensor, alpha: Tensor) -> Tensor:
         """(N,)"""
@@ -70,7 +74,7 @@ class Takeoffs(InitialStates):
         noise: float = 0.02
 
         def __post_init__(self) -> None:
-            check_range(self, "noise", least=0, most=1e3)
+            check_range(self, "noise", least=0, most=1)
             if "takeoff" in self.others:
                 raise ValueError(
                     "others.takeoff is not possible: that is the name of the first one."

@@ -21,6 +21,11 @@ from understudy.options import check_range
 from understudy_characters.character import Character
 from understudy_tensors import rotations
 
+_FASTEST = 20.0
+"""m/s, beyond any runner."""
+_TURNING = 50.0
+"""rad/s, some three times what divers and skaters reach."""
+
 
 @dataclass(frozen=True)
 class Takeoff:
@@ -35,8 +40,9 @@ class Takeoff:
     forward: float = 4.5  #: m/s, of the root; not explored
 
     def __post_init__(self) -> None:
-        check_range(self, "forward", least=0, most=1e3)
-        check_range(self, "v_z", "omega_x", "omega_y", "omega_z", least=-1e3, most=1e3)
+        check_range(self, "forward", least=0, most=_FASTEST)
+        check_range(self, "v_z", least=-_FASTEST, most=_FASTEST)
+        check_range(self, "omega_x", "omega_y", "omega_z", least=-_TURNING, most=_TURNING)
         check_range(self, "alpha", least=-100, most=100)
 
     @property

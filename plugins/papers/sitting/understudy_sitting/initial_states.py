@@ -59,6 +59,8 @@ class _Sizes:
                 "initial_states.chairs: a chair of a mesh has the mesh's size. Leave chair.mesh out."
             )
         self.varies = chair.sizes if varied else ()
+        #: m, of the largest seat, between two corners.
+        self.across = math.hypot(self._ranges[1][1], self._ranges[2][1])
 
     def draw(self, streams: WorldStreams) -> tuple[Tensor, dict[str, Tensor]]:
         """The seats' depth (N,), and the parameters of chairs that differ."""
@@ -320,6 +322,12 @@ class AroundChair(InitialStates):
         self._layout = scene.layout.to(context.device)
         chair = context.need_section("chair", Chair, "initial_states 'sitting/around_chair'")
         self._sizes = _Sizes(chair, options.chairs)
+        nearest, seat = options.distance - options.spread, 0.5 * self._sizes.across
+        if nearest < seat:
+            raise ConfigError(
+                f"initial_states.distance={options.distance:g} with spread={options.spread:g} is not possible: figures would begin "
+                f"{nearest:.3g} m from the seat's middle, and the chair reaches {seat:.3g} m."
+            )
         self.varies = (PLACE, TURN, *self._sizes.varies)
         standing = reference_motion(context).sample(torch.zeros(1, device=context.device))
         self._qpos, self._qvel = standing["reference_qpos"], standing["reference_qvel"]

@@ -60,6 +60,12 @@ class Room(Surroundings):
                 f"room.chair={options.chair}: the scene has {len(chairs)} chairs, from 0."
             )
         self.boxes, self.camera = seen_from(scene, chairs[options.chair])
+        middle = (0.0, 0.0, chairs[options.chair].centre[2])
+        if taken := next((box for box in self.boxes if box.holds(middle)), None):
+            raise FileError(
+                f"room.chair={options.chair}: the middle of this chair is within a {taken.label or 'box'} of the scene, so nobody can "
+                "sit there. Correct the scene, or take another chair."
+            )
 
     def add(self, spec: mujoco.MjSpec) -> None:
         add_boxes(spec, self.boxes)

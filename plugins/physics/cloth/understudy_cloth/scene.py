@@ -38,10 +38,10 @@ class Fabric:
         check_range(self, "stretch", "shear", most=1e8)
         check_range(self, "bending", most=1e5)
         check_range(self, "damping", most=1e4)
-        check_range(self, "gap", most=1e3)
+        check_range(self, "gap", most=0.05)
         check_range(self, "density", "stretch", "shear", above=0)
         check_range(self, "bending", "damping", "friction", "gap", least=0)
-        check_range(self, "thickness", above=0, most=1e3)
+        check_range(self, "thickness", above=0, most=0.2)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,23 @@ _WAYS = {
 }
 """What to do where MuJoCo's reason begins so."""
 
+_NOT_BELOW_0 = (
+    "dof_damping",
+    "dof_armature",
+    "dof_frictionloss",
+    "geom_friction",
+    "pair_friction",
+    "density",
+    "viscosity",
+)
+"""Of a model or its options. What resists a motion would drive it."""
+_RANGES = ("jnt_range", "actuator_ctrlrange", "actuator_forcerange")
+"""One that is upside down MuJoCo takes for none."""
+_HEAVIEST = 1e6
+"""kg that a body which moves may have."""
+_GRAVITY = 1e4
+"""m/s² at most."""
+
 _MEMORY = 16 * 2**20
 """Bytes for contacts and what is computed in a step, at least: about as much as MuJoCo takes where a model says nothing."""
 
@@ -107,6 +124,8 @@ def attempt(path: Path) -> str:
         raise FileError(f"The model {path} does not {doing}: {said}") from error
     if damaged := not_finite(compiled):
         raise FileError(f"The model {path} does not compile: its {damaged} is no finite number.")
+    if wrong := impossible(compiled):
+        raise FileError(f"The model {path} does not compile: its {wrong}.")
     return ""
 
 
@@ -136,11 +155,41 @@ def not_finite(model: mujoco.MjModel) -> str:
                 continue
             wrong = np.isnan(value) if "range" in name else ~np.isfinite(value)
             if wrong.any():
-                kind, row = name.partition("_")[0], int(np.argwhere(np.atleast_1d(wrong))[0, 0])
-                if kind == "dof":
-                    kind, row = "jnt", int(model.dof_jntid[row])
-                of = mujoco.mj_id2name(model, _OBJECTS[kind], row) if kind in _OBJECTS else ""
-                return f"{name} of {of!r}" if of else name
+                return _named(model, name, int(np.argwhere(np.atleast_1d(wrong))[0, 0]))
+    return ""
+
+
+def _named(model: mujoco.MjModel, name: str, row: int) -> str:
+    """The field `name`, and whose its `row` is where that has a name."""
+    kind = name.partition("_")[0]
+    if kind == "dof":
+        kind, row = "jnt", int(model.dof_jntid[row])
+    of = mujoco.mj_id2name(model, _OBJECTS[kind], row) if kind in _OBJECTS else ""
+    return f"{name} of {of!r}" if of else name
+
+
+def impossible(model: mujoco.MjModel) -> str:
+    """The first number of `model` that nothing in the world has, whose it is and what to do; nothing if there is none.
+    MuJoCo takes them."""
+    for name in _NOT_BELOW_0:
+        values = np.atleast_1d(getattr(model if "_" in name else model.opt, name))
+        if (values < 0.0).any():
+            row = int(np.argwhere(values < 0.0)[0, 0])
+            return f"{_named(model, name, row)} is {values.min():g}; let it be 0 or more"
+    for name in _RANGES:
+        ranges = getattr(model, name)
+        for row in np.flatnonzero(ranges[:, 0] > ranges[:, 1])[:1]:
+            low, high = ranges[row]
+            return f"{_named(model, name, int(row))} begins at {low:g}, above its end at {high:g}; turn it round"
+    moving = np.flatnonzero((model.body_weldid != 0) & (model.body_mass > _HEAVIEST))
+    if moving.size:
+        mass = model.body_mass[moving[0]]
+        return (
+            f"{_named(model, 'body_mass', int(moving[0]))} is {mass:.3g} kg, more than {_HEAVIEST:g}; lengths are metres, "
+            "and densities kg/m³"
+        )
+    if (strength := float(np.abs(model.opt.gravity).max())) > _GRAVITY:
+        return f"gravity of {strength:g} m/s² is more than {_GRAVITY:g}; the earth's is 9.81"
     return ""
 
 

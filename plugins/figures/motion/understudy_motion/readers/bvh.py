@@ -346,7 +346,7 @@ def _motion(
 
     Where the `rate` is given the file need not say it, and what it says does not matter.
     """
-    count = interval = None
+    count, interval, odd = None, None, ""
     lines = _said_in_one(lines, start)
     head = [
         (i, _REMARK.sub("", line))
@@ -358,9 +358,11 @@ def _motion(
     ]
     for i, word, unit, said in [(i, *said) for i, line in head for said in _SAID.findall(line)]:
         if word.lower() != "frames":
-            interval = (i, _seconds(said, unit, word.lower().endswith("time")))
-        elif number := re.match(r"\+?([0-9]{1,9})(\.0*)?(?:\s|$)|-1$", said):
+            interval = (i, _seconds(said, unit, word.lower().endswith("time")), said)
+        elif number := re.match(r"\+?([0-9]{1,18})(\.0*)?(?:\s|$)|-1$", said):
             count = (i, int(number[1] or 0))  # 0 and -1 of programs that cannot know it yet
+        elif said:
+            odd = f", and 'Frames' is {shown(said)}"
     last = head[-1][0] if head else start - 1
     unsaid = count is None and any(
         w.lower() == "frames" for _, line in head for w, _, _ in _SAID.findall(line)
@@ -368,15 +370,15 @@ def _motion(
     if (interval is None and rate is None) or unsaid:
         raise FileError(
             f"Clip {path}: line {max(last, start) + 1}: 'Frames: <count>' and 'Frame Time: <seconds>' are "
-            "expected after MOTION; the rate can also be given as motion.rate (--source-rate)."
+            f"expected after MOTION{odd}; the rate can also be given as motion.rate (--source-rate)."
         )
     seconds = 1.0 / rate if rate else 0.0
     if interval and not rate:
         seconds = interval[1]
         if not 1e-6 <= seconds <= SLOWEST:
             raise FileError(
-                f"Clip {path}: line {interval[0] + 1}: 'Frame Time' must be seconds above 0 and up to "
-                f"{SLOWEST:g}; or give motion.rate (--source-rate)."
+                f"Clip {path}: line {interval[0] + 1}: 'Frame Time' must be seconds above 0 and up to {SLOWEST:g}, not "
+                f"{shown(interval[2])}; or give motion.rate (--source-rate)."
             )
     columns = sum(len(channels) for _, channels in parts)
     if not any(joint.channels for joint in joints):
@@ -388,7 +390,7 @@ def _motion(
     frames = sum(1 for line in body if line)
     if frames == 0:
         raise FileError(f"Clip {path}: no frame follows MOTION.")
-    if count is not None and frames > count[1] > 0:
+    if count is not None and frames != count[1] > 0:
         body = _rejoined(body, count[1], columns)
         frames = sum(1 for line in body if line)
     if count is not None and frames != count[1] > 0:

@@ -287,6 +287,12 @@ def _vectors(
     shape = archive.shape(name)
     found = turns.layout(shape, joints)
     if found is None:
+        # In its order numbers would go to other joints.
+        if sum(size != 1 for size in shape) > 2 and shape[-1] != 3:
+            raise FileError(
+                f"Clip {path}: array '{name}': its shape is {shape}; write it as (frames, joints, 3), the three numbers of a "
+                "rotation vector last."
+            )
         values = archive.floats(name, *([None] * max(2, len(shape))))
         return values.reshape(max(shape[:2]) if _single(shape) is not None else len(values), -1)
     values = archive.floats(name, *shape).reshape(found)
