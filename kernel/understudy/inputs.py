@@ -18,8 +18,7 @@ class Inputs:
     """The files that parts read, by what was asked for: an option, in words."""
 
     folder: Path = Path()  #: of a run's copies
-    #: By what was asked for, the digest of each copy by its name in the folder; the main file
-    #: first.
+    #: By what was asked for, each copy's digest by its name in the folder, the main file first.
     kept: dict[str, dict[str, str]] = field(default_factory=dict)
     _read: dict[str, list[Path]] = field(default_factory=dict)
     _fills: dict[str, Callable[[Path], None]] = field(default_factory=dict)

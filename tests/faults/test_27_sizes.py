@@ -145,6 +145,8 @@ def composed(*overrides: str, plugins: Plugins | None = None) -> Any:
         (["control.frequency=1e-300"], r"^control\.frequency=1e-300 .* at least 0\.001"),
         (["control.substeps=100000"], r"^control\.substeps=100000 .* at most 10000"),
         (["control.substeps=5000", "control.decision=100"], r"^control\.decision=100 .* 100000 steps of physics"),
+        (["episode.seconds=0.001"], r"^episode\.seconds=0\.001 is not possible: a decision lasts 0\.0333"),
+        (["evaluation.seconds=0.0999", "control.decision=3"], r"^evaluation\.seconds=0\.0999 .* a decision lasts 0\.1 s"),
         (["evaluation.seconds=1e6", "control.frequency=1000"], r"^evaluation\.seconds=1e\+06 .* 1000000 decisions"),
         (["evaluation.final_episodes=999999"], r"^evaluation\.final_episodes=999999 .* 100000000 decisions"),
         (["evaluation.episodes=1000000", "evaluation.seconds=4"], r"^evaluation\.episodes=1000000 .* 100000000 decisions"),

@@ -42,8 +42,7 @@ class Progress:
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
-    #: The last iteration's row, if the training was stopped before the evaluation that is due after
-    #: it.
+    #: The last iteration's row, if the training stopped before the evaluation due after it.
     pending: dict[str, Any] = field(default_factory=dict)
 
     def spent(self, budget: BudgetOptions) -> float:

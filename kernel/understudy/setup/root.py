@@ -167,15 +167,19 @@ class Root:
         check_range(self, "num_worlds", least=1)
         check_range(self, "seed", least=0, most=2**63 - 1)
         check_range(self, "difficulty", least=0, most=1)
-        decisions = self.evaluation.seconds * self.control.frequency / self.control.decision
-        if decisions > _DECISIONS:
+        decision, judged = self.control.decision / self.control.frequency, self.evaluation
+        for name, seconds in (("episode", self.episode.seconds), ("evaluation", judged.seconds)):
+            if seconds < decision * (1 - 1e-6):
+                raise ValueError(
+                    f"{name}.seconds={seconds:g} is not possible: a decision lasts {decision:g} s."
+                )
+        if (decisions := judged.seconds / decision) > _DECISIONS:
             raise ValueError(
-                f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would "
-                f"be more than {_DECISIONS} decisions."
+                f"evaluation.seconds={judged.seconds:g} is not possible: an episode would be more "
+                f"than {_DECISIONS} decisions."
             )
-        for name in ("episodes", "final_episodes"):
-            count = getattr(self.evaluation, name)
-            if count * decisions > _JUDGED:
+        for name, count in vars(judged).items():
+            if name in ("episodes", "final_episodes") and count * decisions > _JUDGED:
                 raise ValueError(
                     f"evaluation.{name}={count} is not possible: an evaluation would be more than "
                     f"{_JUDGED} decisions."

@@ -105,8 +105,7 @@ class InitialStates(ABC):
 
     #: Fields of the curriculum that :meth:`sample` takes; ``difficulty`` is always there.
     reads: tuple[str, ...] = ()
-    #: Fields that :meth:`sample` returns beside the simulator's state; constant until the world's
-    #: next episode.
+    #: Fields that :meth:`sample` returns beside the simulator's state, constant in an episode.
     episode_fields: Mapping[str, Shape] = {}
     #: Simulator parameters that :meth:`sample` returns, too, and in which worlds then differ.
     varies: tuple[str, ...] = ()
