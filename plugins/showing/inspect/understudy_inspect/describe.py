@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import inspect
 import json
 import re
@@ -11,8 +10,6 @@ import textwrap
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.machinery import PathFinder
-from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,6 +21,7 @@ from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
 from understudy.setup.root import Root
 from understudy.setup.validation import EXTRAS
+from understudy.testing.sentences import sentences
 from understudy_inspect.catalogue import Offer, offers
 from understudy_inspect.tests_of import tests_of
 
@@ -58,7 +56,7 @@ def describe(name: str, plugins: Plugins) -> str:
     name = f"{chosen}/{value}" if value and "/" not in chosen else name
     kind, _, rest = name.partition("/")
     if (group := _group(name, plugins)) is not None:
-        options = _table(name, options_of(group), _sentences(group))
+        options = _table(name, options_of(group), sentences(group))
         return f"{options}\n\n{_kind(name, plugins)}" if name in registry.kinds else options
     if (kind, rest) in registry.components:
         return _component(registry.components[kind, rest], plugins)
@@ -218,7 +216,7 @@ def _component(component: Component, plugins: Plugins) -> str:
 def _described(component: Component, plugins: Plugins) -> str:
     factory = component.factory
     schema = schema_of(factory)
-    comments = _sentences(factory)
+    comments = sentences(factory)
     parts = [
         f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
         f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")")
@@ -310,25 +308,6 @@ def _table(title: str, options: Mapping[str, Option], comments: Mapping[str, str
     return "\n".join([title, *lines])
 
 
-def _sentences(factory: Any) -> dict[str, str]:
-    return _reader().sentences(factory)
-
-
-@functools.cache
-def _reader() -> Any:
-    """The module ``understudy.testing.sentences``, alone: its package imports torch, which takes seconds, and lists and
-    groups of options do without."""
-    package = find_spec("understudy.testing")
-    spec = package and PathFinder.find_spec(
-        "understudy.testing.sentences", package.submodule_search_locations
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def _rows(
     options: Mapping[str, Option], comments: Mapping[str, str], prefix: str
 ) -> Iterator[tuple[str, str, str]]:
@@ -340,11 +319,11 @@ def _rows(
         text = f"{kind}; {about}" if kind and about else kind or about
         default = "…" if option.default is REQUIRED else _typed(option.default)
         if inner is not None and dataclasses.is_dataclass(option.default):
-            yield from _rows(options_of(inner), _sentences(inner), f"{prefix}{name}.")
+            yield from _rows(options_of(inner), sentences(inner), f"{prefix}{name}.")
             continue
         yield f"{prefix}{name}", default, text
         if inner is not None:
-            yield from _rows(options_of(inner), _sentences(inner), f"{prefix}{name}.")
+            yield from _rows(options_of(inner), sentences(inner), f"{prefix}{name}.")
 
 
 def _typed(value: Any) -> str:
