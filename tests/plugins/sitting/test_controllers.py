@@ -60,7 +60,7 @@ def test_a_room_is_filmed(
 ) -> None:
     monkeypatch.setattr(room_drawing, "_EVERY", 6)  # each frame has shadows of a whole room
     film = tmp_path / "room.mp4"
-    words = ("--trials", "2", "evaluation.seconds=0.4")
+    words = ("--trials", "2", "evaluation.seconds=0.5")
     assert main(["sitting", "room", str(controller), str(film), *words]) == 0
     assert film.stat().st_size > 1000
 

@@ -177,6 +177,20 @@ def test_speeds_that_are_none_are_refused(states: Path, speed: str) -> None:
         build("experiment=sitting/sit_tuned", *given)
 
 
+@pytest.mark.parametrize(
+    ("experiment", "word"),
+    [
+        ("sit", "metres=100"), ("sit", "degrees=1e6"), ("meta", "spread=11"), ("meta", "distance=101"),
+        ("meta", "degrees=181"), ("meta", "at_chair.aside=11"), ("meta", "at_chair.degrees=181"),
+    ],
+)  # fmt: skip
+def test_starts_out_of_reach_are_refused(experiment: str, word: str) -> None:
+    """A chair a hundred metres away was trained with."""
+    key = word.partition("=")[0]
+    with pytest.raises(ConfigError, match=rf"initial_states.{key}=.* it must be at most"):
+        load_experiment([f"experiment=sitting/{experiment}", f"initial_states.{word}"])
+
+
 def test_a_share_of_the_episodes_begins_in_the_first_frame() -> None:
     span = ["initial_states.span=[0.2,1.0]", "initial_states.first=0.25"]
     built = build("experiment=sitting/turn_left", "num_worlds=2", *span)

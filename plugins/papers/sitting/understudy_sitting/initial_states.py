@@ -121,9 +121,9 @@ class FromReference(InitialStates):
         chairs: Chairs = Chairs()  #: sizes from which the chair's is drawn
 
         def __post_init__(self) -> None:
-            check_range(self, "metres", most=1e3)
             check_range(self, "first", least=0, most=1)
-            check_range(self, "metres", "degrees", least=0)
+            check_range(self, "metres", least=0, most=10)
+            check_range(self, "degrees", least=0, most=180)
             if not 0 <= self.span[0] <= self.span[1] <= 1:
                 raise ValueError(f"span={self.span} is not possible: give shares, rising.")
 
@@ -199,7 +199,8 @@ class WhereOthersEnded(InitialStates):
         def __post_init__(self) -> None:
             check_range(self, "share", least=0, most=1)
             check_range(self, "speed", least=0, most=100)
-            check_range(self, "metres", "degrees", least=0)
+            check_range(self, "metres", least=0, most=10)
+            check_range(self, "degrees", least=0, most=180)
             if not 0 <= self.speed[0] <= self.speed[1]:
                 raise ValueError(f"speed={self.speed} is not possible: give two numbers, rising.")
             if not self.banks:
@@ -267,9 +268,10 @@ class AtChair:
     degrees: float = 180.0  #: off the direction in which the chair faces, to each side
 
     def __post_init__(self) -> None:
-        check_range(self, "ahead", "aside", most=1e3)
+        check_range(self, "ahead", "aside", most=10)
         check_range(self, "share", least=0, most=1)
-        check_range(self, "aside", "degrees", least=0)
+        check_range(self, "aside", least=0)
+        check_range(self, "degrees", least=0, most=180)
         if not 0 <= self.ahead[0] <= self.ahead[1]:
             raise ValueError(f"ahead={self.ahead} is not possible: give two numbers, rising.")
 
@@ -306,11 +308,11 @@ class AroundChair(InitialStates):
         at_chair: AtChair = AtChair()  #: of starts near the chair
 
         def __post_init__(self) -> None:
-            check_range(self, "spread", most=1e3)
             check_range(self, "zone", least=1, most=len(ZONES))
             check_range(self, "keep", least=0, most=1)
-            check_range(self, "distance", above=0, most=1e3)
-            check_range(self, "spread", "degrees", least=0)
+            check_range(self, "distance", above=0, most=100)
+            check_range(self, "spread", least=0, most=10)
+            check_range(self, "degrees", least=0, most=180)
             if self.sector is not None:
                 check_range(self, "sector", above=0, most=ZONES[0])
 
