@@ -122,7 +122,7 @@ class Adaptive(_OfDifficulty):
 
     @dataclass(frozen=True)
     class Options:
-        threshold: float  #: of the mean return, or of the share of successes
+        threshold: float  #: mean return, or share of successes, from which on the difficulty rises
         #: what is judged: the share of successes, or the mean return
         by: Literal["return", "success"] = "success"
         start: float = 0.0  #: the first difficulty, in [0, 1]

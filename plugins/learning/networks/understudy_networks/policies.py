@@ -47,7 +47,7 @@ class MLPPolicy(Policy):
         #: What the critic reads in its place, which the actor need not know; null is what the actor reads.
         critic: str | tuple[str, ...] | None = None
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
-        activation: Literal["relu", "elu", "tanh"] = "relu"  #: between the layers
+        activation: Literal["relu", "elu", "tanh"] = "relu"  #: nonlinearity between the layers
         #: Standard deviation of the boxes' numbers, in their units.
         noise: Schedule = field(default_factory=lambda: Schedule(0.1, 0.05))
         learn_noise: bool = False  #: learn the deviation from ``noise.start`` instead of scheduling

@@ -27,7 +27,8 @@ class Bank(InitialStates):
     class Options:
         file: str  #: the bank, or the folder of the run that has one
         leave: tuple[str, ...] = ()  #: fields of the bank that the task takes from elsewhere
-        beside: tuple[str, ...] = ()  #: further banks of the same fields, each drawn from as often
+        #: further banks with the same fields; each bank is drawn from equally often
+        beside: tuple[str, ...] = ()
 
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator

@@ -26,9 +26,9 @@ class Settle(Gathering):
     @dataclass(frozen=True)
     class Options:
         count: int = 1024  #: how many states are wanted, from 1
-        seconds: float = 1.0  #: for which each is simulated (dressing: 1 s)
-        fields: tuple[str, ...] = ()  #: kept beside the simulator's state
-        patience: int = 20  #: iterations without any state after which there is no hope
+        seconds: float = 1.0  #: s, for which each episode is simulated (dressing: 1 s)
+        fields: tuple[str, ...] = ()  #: fields that are kept beside the simulator's state
+        patience: int = 20  #: iterations in a row without any state after which the job gives up
 
         def __post_init__(self) -> None:
             check_range(self, "count", "patience", least=1)

@@ -98,13 +98,14 @@ class AmorphousScene(ParticleScene):
         #: what the particles are (sections 4.1 to 4.6)
         material: Literal["granular", "viscoplastic", "viscous", "elastic"] = "viscoplastic"
         blocks: int = 4  #: how many pieces of material there are
-        block: tuple[int, int, int] = (5, 5, 2)  #: particles of one along x, y and z
-        round: bool = False  #: without the particles outside the block's inscribed cylinder
-        spacing: float = 0.2  #: m, between particles at rest
+        block: tuple[int, int, int] = (5, 5, 2)  #: how many particles a block has along x, y and z
+        round: bool = False  #: whether a block has only the particles within its inscribed cylinder
+        spacing: float = 0.2  #: m, distance between particles at rest
         #: Particles along each axis for one of `block`: 2 and 3 are Table 5's medium and high.
         resolution: int = 1
         tool: Literal["scraper", "pan"] = "scraper"  #: the tool that moves the particles
-        springs: int = 32  #: the most that one particle of a visco-plastic material can have
+        #: greatest number of springs that one particle of a visco-plastic material can have
+        springs: int = 32
 
         def __post_init__(self) -> None:
             check_range(self, "blocks", "resolution", "springs", least=1, most=1000)

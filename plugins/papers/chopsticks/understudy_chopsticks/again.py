@@ -62,14 +62,16 @@ class Again(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        #: plans made anew in an episode of an evaluation; the thesis does not limit them
+        #: how many plans may be made anew in an episode of an evaluation; the thesis does not limit
+        #: them
         most: int = 0
-        #: plan each next relocation of an evaluation's episode only as it begins, from where the object lies
+        #: whether each next relocation of an evaluation's episode is planned only as it begins,
+        #: from where the object lies
         onward: bool = False
-        #: m from the plan at which the object counts as lost (as termination lost)
+        #: m from the plan at which the object counts as lost (as in the termination ``lost``)
         distance: float = 0.0178
         still: float = 0.02  #: m/s below which the object lies still
-        patience: float = 2.0  #: s for which the sticks wait until it does
+        patience: float = 2.0  #: s for which the sticks wait until the object lies still
 
         def __post_init__(self) -> None:
             check_range(self, "distance", "still", most=1e3)

@@ -145,9 +145,11 @@ class OpenAndClose(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        #: rad: how far the sticks close. The thesis gives none; the release's plans go to 0.12.
+        #: rad, (least, greatest) angle by which the sticks close. The thesis gives none; the
+        #: release's plans go to 0.12.
         amplitude: tuple[float, float] = (0.12, 0.12)
-        #: Hz, at most 10, of opening and closing. The thesis: "several times" within a second.
+        #: Hz, (least, greatest) rate of opening and closing, at most 10. The thesis: "several
+        #: times" within a second.
         rate: tuple[float, float] = (2.0, 2.0)
         #: rad, added to the standard arm's pose: directions to point to. The thesis has three, without numbers.
         arms: tuple[tuple[float, float, float, float, float, float, float], ...] = (

@@ -35,11 +35,13 @@ class Relocations(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
+        #: how many plans the bank has; the thesis has 100 tasks of eight objects, a GPU 256 plans
+        #: here
         plans: int = 4
         refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
-        longest: float = 3.0  #: s: relocations that take longer are not followed
-        relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
+        longest: float = 3.0  #: s, longest duration of a relocation; longer plans are not followed
+        #: how many relocations of the object a plan has, one after another; figure 5.21 has eight
+        relocations: int = 1
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
         #: whether the object is thrown, to the table's far side (section 5.7.2)
@@ -56,7 +58,8 @@ class Relocations(InitialStates):
         elsewhere: bool = False
         #: m: how high over the object a tool that comes from elsewhere goes first, before it comes down to it; 0: straight to it
         over: float = 0.0
-        #: how many times as long the tool takes to come to the object as by the thesis' 0.25 m/s (section 5.6.2)
+        #: factor, from 1 to 10, of the time in which the tool comes to the object at the thesis'
+        #: 0.25 m/s (section 5.6.2)
         slowly: float = 1.0
         #: how much more often plans are drawn that go badly: with exp(-harder r), r the mean reward of a decision that follows one
         #: (the release has 1); 0 draws evenly

@@ -57,10 +57,10 @@ class Strokes(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        curves: int = 256  #: that there are; each is drawn once
-        size: float = 0.025  #: m: how far a curve's farthest point is from its middle
-        rate: float = 0.5  #: Hz: how often it is traced
-        height: float = 0.02  #: m: of the tip above the table
+        curves: int = 256  #: how many curves there are; each is drawn once
+        size: float = 0.025  #: m, distance of a curve's farthest point from its middle
+        rate: float = 0.5  #: Hz, how often a curve is traced
+        height: float = 0.02  #: m, height of the tip above the table
         longest: float = 8.0  #: s that an episode can last; it holds its last frame after that
 
         def __post_init__(self) -> None:
@@ -230,7 +230,7 @@ def _unmade() -> Curves:
 def tip(
     tip_error: Tensor,
     *,
-    scale: float = 40.0,  #: 1/m, as of an object (eq. 5.4)
+    scale: float = 40.0,  #: 1/m, factor of the tip's distance, as of an object's (eq. 5.4)
 ) -> Tensor:
     """The brush's tip as planned, exp(-40 ‖p - p̃‖): eq. 5.4 with the tip in the object's place."""
     return torch.exp(-scale * tip_error)

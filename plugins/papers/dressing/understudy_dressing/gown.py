@@ -34,14 +34,16 @@ class GownScene(HangingScene):
     class Options:
         file: str  #: YAML that names mesh and loops, among them ``left_sleeve`` and ``right_sleeve``, where the sleeves end
         side: Side = "right"  #: the arm that goes in, whose sleeve is held
-        turn: float = 0.0  #: degrees about the vertical, before the wearer faces as the person does
+        #: degrees by which the gown is turned about the vertical, until its wearer faces as the
+        #: person does
+        turn: float = 0.0
         #: m along the cloth from where the sleeve ends to the loop (assistive-gym's gown at a unit of 1.3: 0.46 m round there, as
         #: the 2018 code's loop)
         loop: float = 0.09
         grip: float = 0.0975  #: m along the cloth from the loop to the patch's middle (2018 code: 0.085 to 0.11)
         #: on which side of the loop: the ``sleeve``, towards where it ends, or the ``body``
         grip_on: Literal["sleeve", "body"] = "sleeve"
-        fabric: Fabric = field(default_factory=Fabric)  #: what it is made of
+        fabric: Fabric = field(default_factory=Fabric)  #: fabric that the gown is made of
 
         def __post_init__(self) -> None:
             check_range(self, "turn", least=-360, most=360)

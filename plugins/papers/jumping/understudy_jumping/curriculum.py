@@ -29,10 +29,10 @@ class Accumulated(Curriculum):
     class Options:
         #: R_T, sum of mean returns beyond which a step is taken (table 4.1)
         threshold: float = 30.0
-        step: float = 1 / 150  #: of the difficulty: Δz over z_max - z_min
+        step: float = 1 / 150  #: by how much the difficulty rises at a time: Δz over z_max - z_min
         start: float = 0.0  #: the first difficulty, in [0, 1]
-        batch: int = 4096  #: samples of the paper's iteration
-        groups: int = 1  #: of worlds, from 1, each with a difficulty of its own
+        batch: int = 4096  #: samples in an iteration of the paper
+        groups: int = 1  #: how many groups worlds form, from 1, each with a difficulty of its own
         #: Control periods of a decision: (difficulty, periods) with rising difficulties.
         decision: tuple[tuple[float, int], ...] = field(default_factory=tuple)
 

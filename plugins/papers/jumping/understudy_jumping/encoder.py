@@ -23,7 +23,8 @@ class GlobalState(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: bool = False  #: whether the policy sees what the episode began with
+        #: whether the policy sees the features of the take-off that the episode began with
+        takeoff: bool = False
 
     shape: Shape
 

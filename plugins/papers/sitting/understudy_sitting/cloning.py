@@ -32,11 +32,11 @@ class AfterClip(Learner):
     @dataclass(frozen=True)
     class Options:
         rollout_steps: int = 16  #: T, steps per world and iteration
-        keep: int = 40  #: of how many of the newest iterations it learns
-        steps: int = 48  #: of the optimiser in an iteration
+        keep: int = 40  #: how many of the newest iterations it learns from
+        steps: int = 48  #: optimiser steps in an iteration
         batch_size: int = 1024  #: samples of an optimiser step, from 1
-        learning_rate: float = 1e-3  #: of Adam, above 0
-        least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
+        learning_rate: float = 1e-3  #: learning rate of Adam, above 0
+        least: float = 0.15  #: rad, least unit of the action, as in ``sitting/around_clip``
 
         def __post_init__(self) -> None:
             check_range(self, "least", most=100)

@@ -27,7 +27,8 @@ class ClipStart(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        window: float = 0.1  #: s; 0 begins at the first frame always
+        #: s from the clip's beginning within which episodes begin; 0: always at the first frame
+        window: float = 0.1
 
         def __post_init__(self) -> None:
             check_range(self, "window", least=0)

@@ -35,7 +35,7 @@ class GramDistance(Fields):
     class Options:
         run: str  #: the folder of a trained auto-encoder (experiment=styles/autoencoder)
         style: str  #: the clip whose style is meant, by name or file
-        frames: int = 24  #: K, of the clips' windows; as many as the history has
+        frames: int = 24  #: K, how many frames the clips' windows have; as many as the history has
 
         def __post_init__(self) -> None:
             check_range(self, "frames", least=2, most=10_000)
