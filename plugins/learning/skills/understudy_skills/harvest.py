@@ -92,8 +92,8 @@ class Harvest(Gathering):
             check_range(self, "count", "decisions", "patience", "lasting", least=1)
             if (self.field is None) is (self.moment == "change"):
                 raise ValueError(
-                    f"moment={self.moment} with field={self.field} is not possible: a change has a "
-                    "field that changes, other moments have none."
+                    f"moment={self.moment} with field={self.field} is not possible: moment=change needs a "
+                    "field that changes, other moments take none."
                 )
             if self.lasting > 1 and self.field is None:
                 raise ValueError(
@@ -142,7 +142,7 @@ class Harvest(Gathering):
         if options.moment != "change" and options.ending in {"success", "failure"} - met:
             raise ConfigError(
                 f"job.ending={options.ending}: no episode of {options.run} can end so, since none of its terminations is a "
-                f"{options.ending} ({', '.join(sorted(terms)) or 'it has none'}). Episodes whose time was over are "
+                f"{options.ending} ({', '.join(sorted(terms)) or 'it has none'}). Episodes that ran out of time are "
                 "job.ending=truncation; job.ending=any takes all."
             )
         state = newest_state(str(self._source.path))

@@ -62,7 +62,7 @@ class Settle(Gathering):
         self._gathered.add(new)
         if self._gathered.barren >= self.options.patience:
             raise TrainingError(
-                f"No start of this task stays {self.options.seconds:g} s without an end, in {self._gathered.barren} times "
+                f"No episode of this task lasts {self.options.seconds:g} s, in {self._gathered.barren} times "
                 f"{count} worlds. Shorten job.seconds, or choose other initial states or terminations."
             )
         return {

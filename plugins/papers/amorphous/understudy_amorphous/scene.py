@@ -112,12 +112,14 @@ class AmorphousScene(ParticleScene):
             check_range(self, "block", most=1000)
             if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:
                 raise ValueError(
-                    f"blocks={self.blocks} is not possible: of such blocks and resolution there would be more "
+                    f"blocks={self.blocks} is not possible: with this block and resolution there would be more "
                     f"than {_PARTICLES} particles."
                 )
             check_range(self, "spacing", above=0, most=1e3)
             if min(self.block) < 1:
-                raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")
+                raise ValueError(
+                    f"block={list(self.block)} is not possible: give at least 1 for each axis."
+                )
 
     recorded = (*ParticleScene.recorded, "goal")
 

@@ -73,13 +73,13 @@ class Relocations(InitialStates):
             check_range(self, "noise", least=0, most=0.05)
             if self.thrown and self.relocations > 1:
                 raise ValueError(
-                    f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
+                    f"relocations={self.relocations} is not possible with thrown=true: a thrown object lands out of reach. Set one of them alone."
                 )
             check_range(self, "over", least=0, most=0.2)
             check_range(self, "slowly", least=1, most=10)
             if self.elsewhere and self.relocations == 1:
                 raise ValueError(
-                    "elsewhere=true is not possible with relocations=1: it is between two. Set relocations=4, or leave elsewhere out."
+                    "elsewhere=true is not possible with relocations=1: the tool goes there between two relocations. Set relocations=4, or leave elsewhere out."
                 )
             check_range(self, "pressing", least=0, most=1.0)
             least = round(2 * (LEAST + CLOSING) + self.pressing + ASIDE, 6)
@@ -92,7 +92,7 @@ class Relocations(InitialStates):
                 )
             if self.refill >= self.plans:
                 raise ValueError(
-                    f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
+                    f"refill={self.refill} with plans={self.plans} is not possible: give more plans than are refilled."
                 )
 
     def __init__(self, options: Options, context: Context) -> None:

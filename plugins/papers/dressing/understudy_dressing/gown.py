@@ -66,7 +66,7 @@ class GownScene(HangingScene):
             ends.add(frozenset(self._garment.loops[name].tolist()))
             if not ends <= set(borders):
                 raise ConfigError(
-                    f"scenes.cloth.file={path}: '{name}' is not the border of a hole, and a sleeve ends in one; name it by hole: VERTEX."
+                    f"scenes.cloth.file={path}: '{name}' is not the border of a hole, and a sleeve must end in one; name the border by hole: VERTEX."
                 )
         if len(ends) < 2:
             raise ConfigError(
@@ -114,7 +114,7 @@ class GownScene(HangingScene):
         ]  # fmt: skip
         if len(found) != 1:
             raise ConfigError(
-                f"scenes.cloth.loop={self.options.loop:g}: so far from the end of the {side} sleeve the garment is no tube; give less."
+                f"scenes.cloth.loop={self.options.loop:g}: this far from the end of the {side} sleeve, the garment is no tube; give less."
             )
         middle = x[found[0]].mean(axis=0)
         ring = x[found[0]] - middle
@@ -131,7 +131,7 @@ class GownScene(HangingScene):
         ring = np.flatnonzero((away < _RADIUS / 2) & (on_body == (self.options.grip_on == "body")))
         if not len(ring):
             raise ConfigError(
-                f"scenes.cloth.grip={self.options.grip:g}: the garment has no cloth so far from the loop; give less."
+                f"scenes.cloth.grip={self.options.grip:g}: the garment has no cloth this far from the loop; give less."
             )
         top = ring[x[ring, 2].argmax()]
         return np.flatnonzero(self._along(np.array([top])) <= _RADIUS)

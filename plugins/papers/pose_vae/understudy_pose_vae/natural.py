@@ -22,7 +22,7 @@ class Naturalness(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("poses", help="run folder that trained a pose auto-encoder")
+        parser.add_argument("poses", help="folder of the run that trained a pose auto-encoder")
         # overrides behind them are taken by this one, too
         parser.add_argument(
             "run", nargs="+", help="run folder of any task on a character, or a skill"

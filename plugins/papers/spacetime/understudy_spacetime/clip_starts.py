@@ -82,8 +82,8 @@ class Flyable(InitialStates):
         times = torch.from_numpy(found.times[~found.bad]).float()
         if not len(times):
             raise ConfigError(
-                "initial_states 'spacetime/flyable': whoever begins in this clip lands beside it, wherever it "
-                "begins. Repair the clip (understudy motion check CLIP --fix OUT)."
+                "initial_states 'spacetime/flyable': from no start in this clip does a body that is let go land within "
+                "the bounds. Repair the clip (understudy motion check CLIP --fix OUT)."
             )
         self._times = times.to(context.device)
         self._apart = self._reference.duration / len(found.times)

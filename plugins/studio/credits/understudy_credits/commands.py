@@ -95,9 +95,11 @@ class Licence(Command):
             dest="purpose",
             choices=PURPOSES,
             default="commercial",
-            help="what it is to be used for (%(default)s)",
+            help="the use that is meant (%(default)s)",
         )
-        parser.add_argument("--json", action="store_true", help="as it travels in exported files")
+        parser.add_argument(
+            "--json", action="store_true", help="print JSON, as exported files carry it"
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         made = open_made(options.run)

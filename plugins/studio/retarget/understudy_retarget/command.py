@@ -43,7 +43,7 @@ class Retarget(Command):
             action="extend",
             default=[],
             metavar="JOINT=JOINT",
-            help="the character's joint, or a part of the body, and the clip's joint for it, such as "
+            help="for a joint of the character, or a part of the body, the clip's joint that it follows, such as "
             "left_knee=LeftLeg",
         )
         parser.add_argument(
@@ -52,8 +52,12 @@ class Retarget(Command):
             metavar="S",
             help="multiply travel and height by this, instead of by the ratio of the legs",
         )
-        parser.add_argument("--start", type=float, metavar="S", help="leave out what is before, s")
-        parser.add_argument("--end", type=float, metavar="S", help="leave out what is after, s")
+        parser.add_argument(
+            "--start", type=float, metavar="S", help="leave out what is before this time, s"
+        )
+        parser.add_argument(
+            "--end", type=float, metavar="S", help="leave out what is after this time, s"
+        )
         parser.add_argument("--json", action="store_true", help="print the report as JSON")
         add_reading(parser)
 
@@ -85,7 +89,7 @@ def _pairs(texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         ours, equals, theirs = text.partition("=")
         if not (ours and equals and theirs):
-            raise ConfigError(f"--map {text} is not possible: it is OURS=THEIRS, two joints.")
+            raise ConfigError(f"--map {text} is not possible: give OURS=THEIRS, two joints.")
         if pairs.setdefault(ours, theirs) != theirs:
             raise ConfigError(f"--map names {ours} twice: it follows {pairs[ours]} or {theirs}.")
     return pairs
