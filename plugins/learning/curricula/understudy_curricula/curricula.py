@@ -116,8 +116,8 @@ class Linear(_OfDifficulty):
 class Adaptive(_OfDifficulty):
     """The difficulty rises by a step, up to the task's, whenever recent episodes went well enough.
 
-    They are judged together, ``episodes`` or more at a time, by their mean return or the share that
-    succeeded; after a step only episodes that begin later count.
+    Episodes are judged together, ``episodes`` or more at a time, by their mean return or the share that
+    succeeded. After a step, only episodes that begin later count.
     """
 
     @dataclass(frozen=True)

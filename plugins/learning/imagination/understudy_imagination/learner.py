@@ -73,7 +73,8 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class AnnealOptions:
-    """Steps shrink as 1 / (1 + (samples - after) / samples)."""
+    """After n samples, steps and learning rate are the share 1 / (1 + (n - `after`) / `samples`) of what they were at
+    first, and at least the share `least`."""
 
     after: int = 30_000  #: samples up to which steps and learning rate stay as they are
     samples: int = 80_000  #: samples from there on after which they are half as large
@@ -92,8 +93,8 @@ class Imagination(Learner):
     """Real trajectories, derivatives of a learned model, and a policy that is regressed onto better
     actions (SVG(∞), Heess et al. 2015; a model of the character as in SuperTrack, Fussell et al. 2021).
 
-    An iteration trains the model on the newest decisions; goes back once along the newest window for
-    the cost's derivative by every action; and fits the policy to its own actions moved against that
+    An iteration trains the model on the newest decisions, goes back once along the newest window for
+    the cost's derivative by every action, and fits the policy to its own actions, moved against this derivative
     by ``step``. Defaults are those with which the walk of ``spacetime`` was learned.
     """
 

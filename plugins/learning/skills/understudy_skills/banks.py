@@ -17,7 +17,7 @@ from understudy_skills import bank
 class Bank(InitialStates):
     """States drawn uniformly from a bank (:mod:`understudy_skills.bank`).
 
-    Evaluations begin in every fifth of them, in which no training does.
+    Evaluations begin in every fifth state, in which no training begins.
 
     What the bank has beside the simulator's state are parameters, which then vary between worlds, and fields of the
     same name, constant over the episode.

@@ -19,8 +19,8 @@ from understudy_skills.gathered import Gathered, Gathering
 
 
 class Settle(Gathering):
-    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of those that did not end: any
-    termination discards a state, and so do numbers that go wrong. It writes the bank ``bank`` into its folder.
+    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of episodes that did not end: any
+    termination discards a state, and so do numbers that go wrong. The job writes the bank ``bank`` into its folder.
     """
 
     @dataclass(frozen=True)

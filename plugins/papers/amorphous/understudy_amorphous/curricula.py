@@ -19,7 +19,7 @@ from understudy_curricula.episodes import Judged, number_in
 
 @dataclass(frozen=True)
 class Between:
-    """Seconds after which training episodes are cut, drawn for each evenly between these. Worlds then
+    """Seconds after which a training episode is cut, drawn evenly between these for each one. Worlds then
     do not all begin at once, and a short rollout of many worlds has all phases of an episode."""
 
     least: float  #: s, above 0: length of the shortest
@@ -67,9 +67,9 @@ class Clusters(Curriculum):
 
     Episodes that end are judged together, ``episodes`` or more at a time, by their mean return, or by
     the share of them whose last decision began with the farthest particle ``within`` (m) of the goal.
-    Where that reaches ``threshold``, there is one cluster more, and only episodes that began with it
+    Where that reaches ``threshold``, there is one cluster more, and then only episodes that began with it
     count. The paper judges single rollouts by a total reward that it does not give; of thousands of
-    worlds a lucky one would always be above it. In an evaluation there are ``most``.
+    worlds, a lucky one would always be above it. An evaluation has ``most`` clusters.
     """
 
     provides: Mapping[str, Shape] = {"clusters": (), "episode_limit": ()}

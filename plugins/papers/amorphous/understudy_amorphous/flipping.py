@@ -92,7 +92,7 @@ class Turned(Memory):
     ``turned`` () rad, counted over whole turns; ``angle`` () rad, the same within (−π, π]; ``toss_height``
     () m, the greatest clearance so far; ``caught_turn`` () rad, what ``turned`` was when the material last
     lay in the pan: over it, low, and moving with it. The angle is that of the disk's axis in the x-z
-    plane, so turning about this axis is no flip.
+    plane, so turning about this axis does not count as a flip.
     """
 
     reads = (

@@ -132,8 +132,8 @@ def gathering(
 ) -> Tensor:
     """Eq. 6: r_p where the tool is near the farthest particle, else r_tool. Constants are Table 2's.
 
-    ``d_part = (c_1 + ‖x − x̂‖)²`` enters as its decrease in this decision. In its two comparisons,
-    with c_3 and with d_thr, stands the distance ‖x − x̂‖ itself: with c_1 = 10 and the constants of
+    Of ``d_part = (c_1 + ‖x − x̂‖)²`` the decrease in this decision counts. Its two comparisons,
+    with c_3 and with d_thr, take the distance ‖x − x̂‖ itself: with c_1 = 10 and the constants of
     Table 2, d_part would make the first never true and the second always c_5. `mean` divides the sum
     of the particles' motion by their number: the sum itself, ``mean: false``, outweighs everything.
     """

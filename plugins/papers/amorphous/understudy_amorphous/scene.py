@@ -32,7 +32,7 @@ BUTTER, PATTY = (0.96, 0.80, 0.38), (0.52, 0.31, 0.20)
 
 @dataclass(frozen=True)
 class Substance:
-    """A material: how its particles touch, and what ties them."""
+    """A material: at what distance its particles touch, and what ties them."""
 
     material: Material
     #: Half the distance at which two particles touch, as a share of half their distance at rest. What

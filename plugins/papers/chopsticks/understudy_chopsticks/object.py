@@ -18,7 +18,7 @@ from understudy_tool_planner.planner import DT
 
 
 class Object(Fields):
-    """The object, and how far it is from where it shall be.
+    """The object, and how far it is from where it should be.
 
     - ``object_state`` (13,): position, rotation, linear and angular velocity in the palm's frame
     - ``object_distance`` () m and ``object_turn`` () rad from the plan; ``goal_distance`` () m from the goal

@@ -1,4 +1,4 @@
-"""Open-and-close motions as plans: where arm, hand and sticks shall be, now and ahead.
+"""Open-and-close motions as plans: where arm, hand and sticks should be, now and ahead.
 
 Two sticks, or tongs, are a gripper of seven degrees of freedom in the palm's frame: the lower one stays, the upper one
 turns by an angle φ(t) = φ₀ + A/2 (1 - cos 2πft), where φ₀ is the least of the grip's. The hand's pose follows from φ by the grip's poses, and the arm

@@ -24,10 +24,10 @@ from understudy_tool_planner.planner import ASIDE, CLOSING, LEAST, PRESSING
 
 
 class Relocations(InitialStates):
-    """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
-    a share of the bank of its own.
+    """The sticks in the hand, open, and the object at the start of a plan that each world draws. In an evaluation, each world
+    draws from its own share of the bank.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
+    ``plan_row`` () is the plan's number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
     rollout_fields = ("plan_row",)

@@ -25,12 +25,12 @@ from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 class GripSearch(OuterLoop):
-    """A search of its own for each style, asked in turn. A trial trains one candidate, or, with `together`, one of
-    each of several styles in one job.
+    """Each style has a search of its own, and the searches are asked in turn. A trial trains one candidate, or, with
+    `together`, one candidate of each of several styles in one job.
 
     A candidate whose fingers do not reach, or that lets the sticks fall within a second, costs no sample; it
-    counts as an evaluation that failed. A job that could not begin for another reason says nothing of its candidates:
-    they are asked for once more, together, and count as failed only if that does not begin either.
+    counts as an evaluation that failed. A job that could not begin for another reason tells nothing about its candidates:
+    they are asked for once more, together, and count as failed only if that job does not begin either.
     """
 
     extendable = ("evaluations",)

@@ -1,4 +1,4 @@
-"""Learning to dress (Clegg et al. 2018): a person, a sleeve, and what the two have to do with each other."""
+"""Learning to dress (Clegg et al. 2018): a person, garments, and how each touches the other."""
 
 from understudy_skills.packaged import skills_beside
 

@@ -118,8 +118,8 @@ def _surfaces(model: mujoco.MjModel, name: str) -> tuple[tuple[str, ...], tuple[
 
 
 class Worn(Coupling):
-    """A skirt follows the character's bodies, hangs around its root where an episode begins, as fast as that
-    moves, and never opens. So the task of the one who wears it stays as it is."""
+    """A skirt follows the character's bodies and never opens. When an episode begins, it hangs around the character's root and
+    moves as fast as the root. So the wearer's task does not change."""
 
     reads = ("xpos", "xquat", "cvel", "subtree_com")
     sets = ("tool_position", "tool_orientation", "cloth_position", "cloth_velocity")

@@ -167,10 +167,10 @@ class Jump(Fields):
 
     - ``root_axes`` (6,): where the root's x axis points in the world, then its z axis
     - ``facing_up`` () rad, in [0, pi]: between where the root faces and up; 0 is on its back
-    - ``crossing`` () bool: the centre of mass is past the middle of the obstacle
+    - ``crossing`` () 1 where the centre of mass is past the middle of the obstacle, else 0
     - ``root_spin`` () rad/s, the size of the root's angular velocity
     - ``target_offset`` () rad: sum of how far all servos' targets are from where the joints are
-    - ``offset_limit`` () rad: c_offset = 48 - 33 ρ
+    - ``offset_limit`` () rad: c_offset, linear in ρ between the two of `limit`; by default 48 - 33 ρ
     """
 
     reads = (

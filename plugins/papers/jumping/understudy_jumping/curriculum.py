@@ -20,9 +20,9 @@ class Accumulated(Curriculum):
     """Each iteration's mean return of the episodes that ended is added up; beyond R_T (table 4.1) the
     difficulty rises by a step and the sum begins anew.
 
-    The paper's iteration is of 4096 samples; one of more counts as so many. With `groups`, world i
+    The paper's iteration has 4096 samples; a larger one counts as several. With `groups`, world i
     belongs to group i mod groups, and each group has a difficulty of its own; how long decisions last
-    follows from their mean.
+    follows from the mean of these.
     """
 
     @dataclass(frozen=True)

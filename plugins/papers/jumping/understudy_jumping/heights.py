@@ -26,10 +26,10 @@ _MOST = 1000
 
 class Heights(Command):
     """Judges a run at the obstacle that its training came to, and at ever easier ones until enough
-    attempts succeed; an evaluation judges at the target alone, which a training may not have reached.
-    ``--from`` begins elsewhere, above the target too.
+    attempts succeed; an evaluation judges only at the target, which a training may not have reached.
+    ``--from`` sets another first obstacle, which may be above the target.
 
-    Prints what it tries, and leaves the evaluation of the highest in ``heights.json`` of the run folder.
+    Prints what it tries, and writes the evaluation of the highest into ``heights.json`` in the run folder.
     """
 
     example = "understudy jumping heights runs/high"

@@ -31,7 +31,7 @@ EPISODE_FIELDS: Mapping[str, Shape] = {
 class Distance:
     """How far the root is from the obstacle at the take-off, m: near + (far - near) ρ + ahead sin α.
 
-    What is straight in front is reached in half the time of what is beside, hence the last term.
+    An obstacle straight in front is reached in half the time of one beside, hence the last term.
     """
 
     near: float = 0.8  #: m, distance from the obstacle at ρ = 0

@@ -1,6 +1,6 @@
 """A search over whole trainings whose fidelity is the difficulty: random, with warm starts.
 
-What takes the place of the random draws in a real one is a model of the reports.
+A real search has a model of the reports in place of the random draws.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Poses(ABC):
 
 
 class Arcs(Poses):
-    """Arcs and waves: every joint bends alike, but for a wave along the arm. Two numbers make one."""
+    """Arcs and waves: every joint bends alike, except for a wave along the arm. Two numbers make a pose."""
 
     @dataclass(frozen=True)
     class Options:

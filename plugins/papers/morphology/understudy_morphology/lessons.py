@@ -28,7 +28,7 @@ class Lessons(Curriculum):
     each world, whichever is more: short ones end first, and few would be no fair sample.
 
     The training ends when the mean return of a lesson has not increased for ``patience`` iterations:
-    the last one's, or that of one which is not learned.
+    the last lesson's, or that of a lesson which is not learned.
     """
 
     rollout_fields = ("episode_time", "forward_velocity", "target_velocity")

@@ -15,7 +15,7 @@ FILE = "naturalness.json"
 
 
 class Naturalness(Command):
-    """Judges runs of a character by how far its poses are from captured ones, and by its jerk."""
+    """Judges runs by how far the character's poses are from captured ones, and by its jerk."""
 
     example = "understudy pose_vae naturalness runs/poses runs/walk runs/walk_with_poses"
 

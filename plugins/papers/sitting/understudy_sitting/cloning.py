@@ -1,7 +1,7 @@
 """A skill that learns to give its servos the clip's own targets, from what it sees and without a clock.
 
-Played blindly, from its first frame on, the targets of a clip may already carry the figure through it, as those of the generated
-``sit`` do. A reward hints at them by way of where they lead; here the policy is told them, in the states to which it comes itself
+Played open loop, from the first frame on, the targets of a clip may already carry the figure through it, as those of the generated
+``sit`` do. A reward only hints at the targets, by where they lead; here the policy is told them, in the states that it reaches itself
 (dataset aggregation: Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret
 online learning", 2011).
 """

@@ -1,4 +1,4 @@
-"""``understudy sitting follow``: the figure goes where one clicks, by the skills walk and turn."""
+"""``understudy sitting follow``: the figure goes where the visitor clicks, by the skills walk and turn."""
 
 from __future__ import annotations
 

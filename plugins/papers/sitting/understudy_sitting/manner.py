@@ -1,6 +1,6 @@
-"""How one sits down, beside whether: does it drop, where does it land, do its feet stay.
+"""How the figure sits down, beside whether it sits: whether it drops, where it lands, and whether its feet stay.
 
-Success counts who sits; who jumps onto the edge and pulls the feet up sits, too.
+Success counts every figure that sits; one that jumps onto the edge and pulls its feet up sits, too.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def unhurried(
 
 class Servos:
     """exp(-alpha m), m the mean square over the servos by which the action differs from the clip's own targets, in the
-    units of ``sitting/around_clip``: where these alone already move the figure as the clip does, they are worth having."""
+    units of ``sitting/around_clip``. It is of use where these targets alone already move the figure as the clip does."""
 
     @dataclass(frozen=True)
     class Options:

@@ -17,7 +17,7 @@ class InOrder(Actuation):
     """The controllers of finished runs, one after the other: a^switch says whether to go on to the next
     ("the meta controller is only used to trigger transitions", section 7). The last one stays.
 
-    As ``controllers``, it keeps the ``goal`` of the action and the ``switch`` to whose turn it is.
+    Like ``controllers``, it keeps the action's ``goal``, and in ``switch`` the number of the controller whose turn it is.
     """
 
     every = "period"

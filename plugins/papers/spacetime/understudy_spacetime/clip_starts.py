@@ -18,7 +18,7 @@ from understudy_motion.section import Motion
 
 
 class ClipStart(InitialStates):
-    """The clip's beginning, where one would begin to perform the skill.
+    """The clip's beginning, where a performance of the skill would begin.
 
     Episodes begin within the first `window` s, so that they differ.
     """
@@ -71,7 +71,7 @@ class Flyable(InitialStates):
     """Any time of the clip, except those from which a body that is let go, in the clip's state and at the height
     that training uses, lands outside the bounds (:func:`~understudy_characters.letting_go.let_go`).
 
-    From most of those, nobody can follow the clip. The run's page says how many there are.
+    From most of the excepted times, no policy can follow the clip. The run's page says how many there are.
     """
 
     episode_fields = EPISODE_FIELDS

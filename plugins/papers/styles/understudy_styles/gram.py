@@ -24,7 +24,7 @@ class GramDistance(Fields):
     """``gram_distance`` (N,) = ‖G_s - G‖ / ‖G_s - G_r‖: G is the Gram matrix of the features of the last
     frames, G_s that of the style's clip, G_r that of the clip that the task refers to.
 
-    So 1 is as far from the style as the reference is, and 0 is the style. ``feature_history`` (K, D) holds
+    So 1 means as far from the style as the reference is, and 0 means in the style. ``feature_history`` (K, D) holds
     the frames, the newest first (the memory ``history`` of ``motion_features``); the paper's K is a cycle.
     """
 

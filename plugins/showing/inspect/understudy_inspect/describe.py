@@ -176,7 +176,7 @@ def _readers(experiment: Experiment, built: Built) -> dict[str, str]:
 
 
 def names(plugins: Plugins) -> list[str]:
-    """All that :func:`describe` knows, as one types it."""
+    """All that :func:`describe` knows, as it is typed."""
     kinds = {kind for kind, _ in plugins.registry.components} | {"experiment", "task"}
     files = {f"{kind}/{offer.name}" for kind in kinds for offer in offers(plugins, kind)}
     parts = {f"{kind}/{name}" for kind, name in plugins.registry.components if kind != "command"}

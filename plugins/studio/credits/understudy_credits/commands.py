@@ -18,7 +18,7 @@ _WHAT = "a run folder, a packed skill (.json), or a skill that comes with a plug
 
 
 class Cite(Command):
-    """Prints BibTeX of the code, the papers whose parts the run used, and its clips."""
+    """Prints BibTeX for the code, for the papers whose parts the run used, and for its clips."""
 
     example = "understudy cite runs/spacetime-walk-001 > refs.bib"
 
@@ -83,8 +83,8 @@ def _citations(info: object) -> list[str]:
 
 
 class Licence(Command):
-    """Lists all that a run was made of with its licence, and what stands in the way of a use; ends with 1 if
-    something does. A reading aid, and no legal advice."""
+    """Lists everything that a run was made of, with its licence, and what stands in the way of a use; the exit status
+    is 1 if something does. A reading aid, and no legal advice."""
 
     example = "understudy licence runs/spacetime-walk-001 --for commercial"
 

@@ -34,7 +34,7 @@ DEFAULT_CHARACTER = "humanoid"
 
 
 class Check(Command):
-    """Examines a clip, or what was learned; exit status 1 if something is majorly wrong with it."""
+    """Examines a clip, or a learned motion; the exit status is 1 if there is a major finding."""
 
     example = "understudy motion check walk.npz --loop --fix cycle.npz"
 

@@ -54,9 +54,9 @@ GAMMA = 2.2
 
 
 class Export(Command):
-    """Writes the learned motion of a run, its policy, or a clip as a file; its ending says of which format.
+    """Writes the learned motion of a run, its policy, or a clip as a file; the file's ending says in which format.
 
-    Of a run .glb and .gltf files also have what stands around the figure.
+    For a run, .glb and .gltf files also have what stands around the figure.
     """
 
     example = "understudy export runs/spacetime-walk-001 walk.glb"

@@ -27,7 +27,7 @@ from understudy_retarget.retarget import Options, Report, retarget
 
 
 class Retarget(Command):
-    """Puts a motion on a character, its feet on the floor, and says how well that went."""
+    """Transfers a motion to a character, with its feet on the floor, and reports how well the result fits."""
 
     example = "understudy motion retarget walk robot.xml robot_walk.npz"
 

@@ -29,8 +29,8 @@ PARTS = ("reward", "observation")
 
 
 class NewPlugin(Command):
-    """Writes a distribution with two rewards and an observation, or with one of these alone, their tests, README and entry
-    point, and says what comes next."""
+    """Writes a distribution with two rewards and an observation, or with only one of these, with tests, README and entry
+    point, and prints what to do next."""
 
     example = "understudy new plugin balance"
 
@@ -47,7 +47,7 @@ class NewPlugin(Command):
 
 
 class NewPaper(Command):
-    """Writes what `new plugin` does, with an experiment, the paper's page and a table to reproduce."""
+    """Writes what `new plugin` writes, and an experiment, the paper's page and a table to reproduce."""
 
     example = "understudy new paper hopping"
 

@@ -1,5 +1,5 @@
-"""Who may talk to a page: browsers that were led to it, not pages of others that they have open; as many of
-them as like to, who come and go."""
+"""Who may talk to a page: any number of browsers that opened it, but not other sites' pages that these browsers have
+open, too."""
 
 from __future__ import annotations
 
