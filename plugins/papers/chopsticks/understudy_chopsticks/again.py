@@ -97,7 +97,7 @@ class Again(Memory):
         if self._most or self._onward:
             self._bank.spare(context.num_worlds)
         self._context = context
-        #: m: where whoever leads wants the object, and has it brought; None before they say so.
+        #: m: where the visitor wants the object to be brought; None before they say so.
         self.target: tuple[float, float] | None = None
         self._new = False  #: whether nothing was planned for it yet
         self.refused = ""  #: why no plan reaches it, in a sentence

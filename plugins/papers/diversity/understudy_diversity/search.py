@@ -27,8 +27,9 @@ class DiversitySearch(StrategySearch):
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
-        explore: int = 3  #: N_exp, trials in a row where the model is least certain
-        exploit: int = 3  #: N_opt, trials in a row where it expects most novelty
+        explore: int = 3  #: N_exp, how many trials in a row are where the model is least certain
+        #: N_opt, how many trials in a row are where the model expects most novelty
+        exploit: int = 3
 
         def __post_init__(self) -> None:
             super().__post_init__()
