@@ -66,9 +66,7 @@ class PPO(Learner):
         gamma: float = 0.95  #: discount of a decision, in [0, 1] (the thesis, section 3.5)
         gae_lambda: float = 0.95  #: λ of the advantages, in [0, 1] (the thesis, section 3.5)
         td_lambda: float = 0.95  #: λ of the critic's targets, in [0, 1] (the thesis, section 3.5)
-        #: ε, the range in which the surrogate is not clipped; null leaves the limit to
-        #: ``kl_penalty``
-        clip: float | None = 0.2
+        clip: float | None = 0.2  #: ε of the clipping; null leaves it to ``kl_penalty``
         #: a penalty on the divergence from the old policy; null has none
         kl_penalty: KLPenalty | None = None
         optimiser: Literal["adam", "sgd"] = "adam"  #: the optimiser of both networks
