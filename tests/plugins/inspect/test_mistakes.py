@@ -91,7 +91,7 @@ MISTAKES = {
     "motion check walk --fix": "Argument --fix: expected one argument.",
     "motion check walk --character nosuch": "There is no character 'nosuch'. Known: ",
     "motion retarget walk humanoid out.xyz": "no format is written to '.xyz' files.",
-    "motion retarget walk humanoid out.npz --map left_knee": "give OURS=THEIRS, two joints.",
+    "motion retarget walk humanoid out.npz --map left_knee": "it is OURS=THEIRS, two joints.",
     "motion export walk humanoid out.csv --for isaac": "invalid choice: 'isaac'",
     "replay nosuch": "nosuch has no step to repeat",
     "resume spacetime/walk": "`understudy play spacetime/walk --unpack runs/spacetime-walk` makes a run",

@@ -563,7 +563,7 @@ def test_what_is_of_a_skill_asks_for_one(
     """All skills were listed, and nothing was made."""
     monkeypatch.chdir(tmp_path)
     assert main(["play", *words]) == 2
-    assert f"{words[0]} of which skill?" in capsys.readouterr().err
+    assert f"{words[0]} needs a skill. Name one" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
 
 

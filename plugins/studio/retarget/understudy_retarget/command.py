@@ -89,7 +89,7 @@ def _pairs(texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         ours, equals, theirs = text.partition("=")
         if not (ours and equals and theirs):
-            raise ConfigError(f"--map {text} is not possible: give OURS=THEIRS, two joints.")
+            raise ConfigError(f"--map {text} is not possible: it is OURS=THEIRS, two joints.")
         if pairs.setdefault(ours, theirs) != theirs:
             raise ConfigError(f"--map names {ours} twice: it follows {pairs[ours]} or {theirs}.")
     return pairs
