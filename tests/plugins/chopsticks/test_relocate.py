@@ -767,7 +767,7 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.object.kind=cone"], "cone"),
         (["scene.object.kind=any"], "kind=any has 0 of them"),
         (["scene.below={kind: any, sizes: []}"], "worlds differ in the object alone"),
-        (["initial_states.refill=5"], "some have to stay"),
+        (["initial_states.refill=5"], "give more plans than are refilled"),
         (["initial_states.harder=-1"], "harder=-1"),
         (["initial_states.shift=[0.05, -0.05]"], "the first is the lower one"),
         (["initial_states.shift=[0.0, 0.07]"], "from -0.06 to 0.06 m"),

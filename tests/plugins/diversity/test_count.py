@@ -58,7 +58,7 @@ def test_it_counts_by_several_measures(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "Say by what"),
+        ([], "Say by which measures"),
         (["--by", "angle"], "could not convert string to float"),
         (["--by", "0.3"], "features must not be empty"),
         (["--by", "nan", "angle"], "distinct=nan is not possible"),

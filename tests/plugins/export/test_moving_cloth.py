@@ -114,7 +114,7 @@ def test_rate_and_length_are_as_asked(run: Path, tmp_path: Path) -> None:
     ("name", "words", "sentence"),
     [
         ("cloth.bvh", (), "a garment is written to .glb, .gltf, .usd, .usda and .usdc files"),
-        ("cloth.glb", ("--reference",), "--reference is of motions"),
+        ("cloth.glb", ("--reference",), "--reference is for motions"),
         ("cloth.glb", ("--seconds", "0.01"), "1 frames at 25 Hz cannot be written"),
     ],
 )

@@ -181,7 +181,7 @@ def test_an_image_is_an_input_as_it_is(tmp_path: Path) -> None:
 
 def test_options_of_motions_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "spacetime/walk", "walk.onnx", "--rate", "30"]) == 2
-    assert "--rate is of motions, and walk.onnx is a policy" in capsys.readouterr().err
+    assert "--rate is for motions, and walk.onnx is a policy" in capsys.readouterr().err
 
 
 def test_a_clip_has_no_policy(capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,7 +103,10 @@ def test_its_name_ends_as_pages_do(
         assert main(["export", str(run), str(tmp_path / name)]) == 2
         said = capsys.readouterr().err
         assert "no format is written to" in said
-        assert "Of a run also .onnx, its policy, and .html, a page that plays it." in said
+        assert (
+            "A run can also be written as .onnx, its policy, and .html, a page that plays it."
+            in said
+        )
 
 
 def test_refused(tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,7 +116,7 @@ def test_refused(tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]) 
     assert "has no recording to play: `understudy render" in said
     assert "if its task has a figure" in said
     assert main(["export", str(run), str(page), "--rate", "30"]) == 2
-    assert "--rate is of motions" in capsys.readouterr().err
+    assert "--rate is for motions" in capsys.readouterr().err
     assert main(["export", "hop", str(page)]) == 2
     assert "hop is no run folder" in capsys.readouterr().err
     assert not page.exists()

@@ -102,7 +102,7 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe", "task/miniature/go", "--columns"]) == 0
     assert capsys.readouterr().out.splitlines()[:2] == ["state [4]", "     0  offset/x"]
     assert main(["describe", "learner/ppo", "--columns"]) == 2
-    assert "--columns is of a task, an experiment or a run folder" in capsys.readouterr().err
+    assert "--columns takes a task, an experiment or a run folder" in capsys.readouterr().err
 
 
 def test_what_parts_can_read(capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,7 +121,7 @@ def test_what_parts_can_read(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["xipos"] == (str(list(table.shapes["xipos"])) + " the", "simulator")
     assert found["mean"] == ("[]", "memory.mean")
     assert main(["describe", "learner/ppo", "--fields"]) == 2
-    assert "--fields is of a task, an experiment or a run folder" in capsys.readouterr().err
+    assert "--fields takes a task, an experiment or a run folder" in capsys.readouterr().err
     assert main(["describe", "task/spacetime/walk", "--fields", "--columns"]) == 2
     assert "--columns" in capsys.readouterr().err
 
@@ -154,7 +154,7 @@ def test_in_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(found) == 3
     assert "read by no network" in found[-1]
     assert main(["describe", "learner/ppo", "--observations"]) == 2
-    assert "--observations is of a task, an experiment or a run" in capsys.readouterr().err
+    assert "--observations takes a task, an experiment or a run" in capsys.readouterr().err
 
 
 def test_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,7 +25,11 @@ def test_a_learner() -> None:
     assert re.search(
         r"^  rollout_steps=16 +whole number; T, steps per world and iteration$", text, re.M
     )
-    assert re.search(r"^  clip=0\.2 +number or null; ε; null leaves it to kl_penalty$", text, re.M)
+    assert re.search(
+        r"^  clip=0\.2 +number or null; ε of the clipping; null leaves it to kl_penalty$",
+        text,
+        re.M,
+    )
     assert re.search(r"^  kl_penalty\.target=0\.01 ", text, re.M), "options of an option"
     assert "thesis' (section 3.5)" in text, "where defaults are from"
     assert "learner=spacetime/walk" in text
@@ -51,7 +55,9 @@ def test_a_group_and_a_section(name: str, option: str) -> None:
 
 def test_a_term() -> None:
     text = describe("termination/beyond", installed())
-    assert re.search(r"^  limit=… +number; in the field's unit$", text, re.M), "it has to be given"
+    assert re.search(
+        r"^  limit=… +number; least value that counts as beyond, in the field's unit$", text, re.M
+    ), "it has to be given"
     assert re.search(r'^  outcome="failure" +failure or ', text, re.M)
     assert "Reads: value." in text
 

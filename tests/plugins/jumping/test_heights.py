@@ -77,7 +77,7 @@ def test_bars_above_the_target(
     assert main(["jumping", "heights", str(run), *words]) == 0
     said = capsys.readouterr().out
     assert said.startswith("2.30 m high: ")
-    assert "Nothing above was tried: --from 2.80 does so." in said
+    assert "Nothing higher was tried; to try more: --from 2.80." in said
     found = json.loads((run / heights.FILE).read_text())["highest"]
     assert found["height"] == 2.3
     assert found["evaluation"]["measures"]["obstacle_height"]["mean"] == pytest.approx(2.3)

@@ -592,7 +592,7 @@ def test_what_is_of_a_skill_asks_for_one(
     """All skills were listed, and nothing was made."""
     monkeypatch.chdir(tmp_path)
     assert main(["play", *words]) == 2
-    assert f"{words[0]} of which skill?" in capsys.readouterr().err
+    assert f"{words[0]} needs a skill. Name one" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
 
 
@@ -634,15 +634,15 @@ def test_what_is_packed_says_on_what_terms(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--push", "3"], "--push is of a video. Add --video FILE"),
-        (["--seconds", "3"], "--seconds is of a video. Add --video FILE"),
+        (["--push", "3"], "--push is for videos. Add --video FILE"),
+        (["--seconds", "3"], "--seconds is for videos. Add --video FILE"),
         (["--video", "v.mp4", "--push", "nan"], "nan is not a finite number"),
         (["--video", "v.mp4", "--push=-inf"], "-inf is not a finite number"),
         (["--video", "v.mp4", "--push", "strong"], "'strong' is no number"),
         (["--video", "v.mp4", "--seconds", "1e9"], "1e9 is not above 0 and at most 3600 s"),
         (["--video", "v.mp4", "--seconds", "nan"], "nan is not above 0"),
         (["--video", "v.mp4", "--seconds", "0"], "0 is not above 0"),
-        *((["--video", name], "call it as walk.mp4") for name in ("v.txt", "v", "v.gif", "v.mp4.bak")),
+        *((["--video", name], "such as walk.mp4") for name in ("v.txt", "v", "v.gif", "v.mp4.bak")),
     ],
 )  # fmt: skip
 def test_a_video_of_no_possible_kind_is_refused(

@@ -336,7 +336,10 @@ def test_a_stronger_figure_of_the_same_joints_takes_it(run: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "sentence"),
     [
-        (("job.clips=[no_such_clip]",), "No motion clip 'no_such_clip'.*A folder of them"),
+        (
+            ("job.clips=[no_such_clip]",),
+            "No motion clip 'no_such_clip'.*Nor is there a folder of this name",
+        ),
         (("job.clips=[]",), "job.clips=\\(\\) is not possible"),
         (("job.held_out=1.0",), "job.held_out=1.0 is not possible"),
     ],

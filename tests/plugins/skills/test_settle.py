@@ -66,7 +66,7 @@ def test_it_simulates_for_as_long_as_it_is_told(tmp_path: Path) -> None:
 
 def test_what_cannot_be_is_said(tmp_path: Path) -> None:
     everywhere = ["termination.terms.reached.within=9.0", "job.patience=2"]
-    with pytest.raises(TrainingError, match=r"No start of this task stays 0\.5 s"):
+    with pytest.raises(TrainingError, match=r"No episode of this task lasts 0\.5 s"):
         settled(tmp_path / "none", *everywhere)
     with pytest.raises(
         ConfigError, match=r"job\.fields names 'distanc', which is no field.*'distance'"

@@ -116,13 +116,13 @@ class Linear(_OfDifficulty):
 class Adaptive(_OfDifficulty):
     """The difficulty rises by a step, up to the task's, whenever recent episodes went well enough.
 
-    They are judged together, ``episodes`` or more at a time, by their mean return or the share that
-    succeeded; after a step only episodes that begin later count.
+    Episodes are judged together, ``episodes`` or more at a time, by their mean return or the share that
+    succeeded. After a step, only episodes that begin later count.
     """
 
     @dataclass(frozen=True)
     class Options:
-        threshold: float  #: of the mean return, or of the share of successes
+        threshold: float  #: mean return, or share of successes, from which on the difficulty rises
         #: what is judged: the share of successes, or the mean return
         by: Literal["return", "success"] = "success"
         start: float = 0.0  #: the first difficulty, in [0, 1]

@@ -16,10 +16,10 @@ from understudy_curricula.episodes import mark_worlds
 
 class Staggered(Curriculum):
     """Each world's first episode is cut at a time drawn evenly between nothing and the whole episode, so that from
-    then on the worlds are in all of its phases at once. Where all episodes last equally long and a rollout is a part of one, worlds
+    then on the worlds are in all phases of an episode at once. Where all episodes last equally long and a rollout is only a part of one, worlds
     in step would give each update a single phase (Rudin et al. 2022, *Learning to walk in minutes*, section 3.1).
 
-    *Limits:* what is cut within a rollout is cut again until the rollout ends.
+    *Limits:* a world whose episode is cut within a rollout is cut again until the rollout ends.
     """
 
     @dataclass(frozen=True)

@@ -412,8 +412,8 @@ def check_reset(seed: Any, options: Mapping[str, Any] | None, known: Sequence[st
     if unknown := [name for name in options or {} if name not in known]:
         there = f"there is {', '.join(known)}" if known else "there are none"
         raise ConfigError(
-            f"The reset has no option {', '.join(map(repr, unknown))}; {there}. What a task is made with are its "
-            "overrides: overrides=['KEY=VALUE']."
+            f"The reset has no option {', '.join(map(repr, unknown))}; {there}. To change a task, give its "
+            "overrides when it is made: overrides=['KEY=VALUE']."
         )
 
 

@@ -53,13 +53,15 @@ class ModelOptions:
     """The network that predicts what a decision does, and how it is trained."""
 
     hidden: tuple[int, ...] = (512, 256)  #: units of the hidden layers
-    points: int = 8  #: of the bodies' corners, as many as touch the floor most are told to it
-    replay: int = 60_000  #: newest decisions that it is trained on
-    first_samples: int = 10_240  #: decisions before it is trained, and the policy with it
-    first_updates: int = 400  #: optimiser steps when it is first trained
-    updates: int = 60  #: optimiser steps of an iteration
+    #: how many corners of bodies the model is told of: those that touch the floor most
+    points: int = 8
+    replay: int = 60_000  #: how many of the newest decisions the model is trained on
+    #: decisions after which the training of the model, and of the policy with it, begins
+    first_samples: int = 10_240
+    first_updates: int = 400  #: optimiser steps when the model is first trained
+    updates: int = 60  #: optimiser steps of the model in each later iteration
     batch_size: int = 512  #: decisions of an optimiser step
-    learning_rate: float = 1e-3  #: of the model, by Adam
+    learning_rate: float = 1e-3  #: learning rate of the model, by Adam
 
     def __post_init__(self) -> None:
         check_units("hidden", self.hidden)
@@ -71,11 +73,12 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class AnnealOptions:
-    """Steps shrink as 1 / (1 + (samples - after) / samples)."""
+    """After n samples, steps and learning rate are the share 1 / (1 + (n - `after`) / `samples`) of what they were at
+    first, and at least the share `least`."""
 
-    after: int = 30_000  #: samples before which they do not
-    samples: int = 80_000  #: samples from there after which they are half as large
-    least: float = 0.1  #: share that stays
+    after: int = 30_000  #: samples up to which steps and learning rate stay as they are
+    samples: int = 80_000  #: samples from there on after which they are half as large
+    least: float = 0.1  #: share of them that stays at least
 
     def __post_init__(self) -> None:
         check_range(self, "after", least=0)
@@ -90,8 +93,8 @@ class Imagination(Learner):
     """Real trajectories, derivatives of a learned model, and a policy that is regressed onto better
     actions (SVG(∞), Heess et al. 2015; a model of the character as in SuperTrack, Fussell et al. 2021).
 
-    An iteration trains the model on the newest decisions; goes back once along the newest window for
-    the cost's derivative by every action; and fits the policy to its own actions moved against that
+    An iteration trains the model on the newest decisions, goes back once along the newest window for
+    the cost's derivative by every action, and fits the policy to its own actions, moved against this derivative
     by ``step``. Defaults are those with which the walk of ``spacetime`` was learned.
     """
 
@@ -100,29 +103,32 @@ class Imagination(Learner):
         #: T, decisions per world and iteration; null makes an iteration of 2,048 decisions, or of 8 of
         #: each world if these are more.
         rollout_steps: int | None = None
-        #: Decisions that follow each one at least, where its episode does, when derivatives are taken.
+        #: For each decision, at least so many later ones of its episode count when derivatives are
+        #: taken.
         tail: int = 16
-        #: By what derivatives shrink a decision back, beside what the dynamics does to them.
+        #: Factor by which derivatives shrink with each decision back, beside what the dynamics does
+        #: to them.
         decay: float = 0.97
-        #: Most that a world's derivative may be, in medians over the worlds.
-        clip: float = 3.0
+        clip: float = 3.0  #: Largest size of a world's derivative, in medians over the worlds.
         #: Root mean square by which actions move in an iteration, in units of the action's reach.
         step: float = 1 / 6
-        anneal: AnnealOptions = field(default_factory=AnnealOptions)  #: of step and learning rate
-        learning_rate: float = 1e-3  #: of the actor, by Adam
-        updates: int = 16  #: optimiser steps of the actor an iteration
-        batch_size: int = 256  #: decisions of one of them
-        margin_weight: float = 1.0  #: of what is used of each margin
-        #: Which norm over what has a share of a margin (joints, say) counts as what is used of it.
+        #: how steps and learning rate shrink with the samples
+        anneal: AnnealOptions = field(default_factory=AnnealOptions)
+        learning_rate: float = 1e-3  #: learning rate of the actor, by Adam
+        updates: int = 16  #: optimiser steps of the actor in an iteration
+        batch_size: int = 256  #: decisions of one optimiser step of the actor
+        margin_weight: float = 1.0  #: weight, in the cost, of what is used of each margin
+        #: Norm that makes one number of a margin's several shares (one for each joint, say).
         margin_norm: float = 8.0
-        margin_power: float = 2.0  #: of what is used of a margin, in the cost
-        #: Of the mean square of actions, from the middle of their space in units of their reach.
+        margin_power: float = 2.0  #: exponent, in the cost, of what is used of a margin
+        #: Weight of actions' mean square, from the middle of their space in units of their reach.
         action_weight: float = 0.012
-        reward_weight: float = 1.0  #: of rewards that have a derivative
-        model: ModelOptions = field(default_factory=ModelOptions)  #: of the character, learned
-        gamma: float = 0.95  #: of the returns that critic and initial states learn from
+        reward_weight: float = 1.0  #: weight, in the cost, of rewards that have a derivative
+        #: the learned model of the character
+        model: ModelOptions = field(default_factory=ModelOptions)
+        gamma: float = 0.95  #: discount of the returns that critic and initial states learn from
         td_lambda: float = 0.95  #: λ of these returns, in [0, 1]
-        critic_learning_rate: float = 3e-4  #: of the critic, by Adam
+        critic_learning_rate: float = 3e-4  #: learning rate of the critic, by Adam
         patience: int = 20  #: non-finite optimiser steps in a row after which the training stops
 
         def __post_init__(self) -> None:

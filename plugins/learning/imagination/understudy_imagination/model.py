@@ -45,9 +45,9 @@ class WorldModel(nn.Module):
     """The change of velocity in a decision, and by how much the mean velocity on the way deviates from
     the mean of the velocities at both ends; linear velocities of free joints as the root sees them.
 
-    What it is told does not change when the whole figure stands elsewhere or faces another way: lengths
-    of joints, height and up, velocities, how far each servo is from its target, and of the points that
-    are nearest to the floor their heights, velocities, and whether they touch.
+    Its inputs do not change when the whole figure stands elsewhere or faces another way: the joints' angles and
+    displacements, height and the direction up, velocities, how far each servo is from its target, and, of the points
+    that touch the floor most, their heights, velocities, and whether they touch.
     """
 
     #: (K,) the points that count as near the floor.

@@ -47,7 +47,7 @@ class MLPPolicy(Policy):
         #: What the critic reads in its place, which the actor need not know; null is what the actor reads.
         critic: str | tuple[str, ...] | None = None
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
-        activation: Literal["relu", "elu", "tanh"] = "relu"  #: between the layers
+        activation: Literal["relu", "elu", "tanh"] = "relu"  #: nonlinearity between the layers
         #: Standard deviation of the boxes' numbers, in their units.
         noise: Schedule = field(default_factory=lambda: Schedule(0.1, 0.05))
         learn_noise: bool = False  #: learn the deviation from ``noise.start`` instead of scheduling
@@ -107,9 +107,9 @@ class CNNPolicy(Policy):
     """Actor and critic see an image (C, H, W) through convolutions and flat observations beside it.
 
     The network is that of Zhang et al. 2020, figure 3: convolutions with max-pooling, a fully
-    connected layer of the image's features, those beside the flat observation into an MLP, ReLU
+    connected layer of the image's features, an MLP on these and the flat observation, ReLU
     throughout. Figure 3 gives no padding; here convolutions keep the image's size. The image is
-    taken as it comes, the flat observation is normalised. Channels come first.
+    not normalised, the flat observation is. Channels come first.
     """
 
     @dataclass(frozen=True)

@@ -58,32 +58,35 @@ class PPO(Learner):
     @dataclass(frozen=True)
     class Options:
         rollout_steps: int = 16  #: T, steps per world and iteration
-        epochs: int = 4  #: over each iteration's samples, from 1
+        epochs: int = 4  #: passes over each iteration's samples, from 1
         #: Optimiser steps per epoch; each sees its share of the iteration's samples.
         minibatches: int | None = 8
-        #: Instead: samples of an optimiser step, over all processes.
+        #: Samples of an optimiser step, over all processes, in place of ``minibatches``.
         batch_size: int | None = None
         gamma: float = 0.95  #: discount of a decision, in [0, 1] (the thesis, section 3.5)
         gae_lambda: float = 0.95  #: λ of the advantages, in [0, 1] (the thesis, section 3.5)
         td_lambda: float = 0.95  #: λ of the critic's targets, in [0, 1] (the thesis, section 3.5)
-        clip: float | None = 0.2  #: ε; null leaves it to ``kl_penalty``
+        clip: float | None = 0.2  #: ε of the clipping; null leaves it to ``kl_penalty``
         #: a penalty on the divergence from the old policy; null has none
         kl_penalty: KLPenalty | None = None
-        optimiser: Literal["adam", "sgd"] = "adam"  #: of both networks
-        momentum: float = 0.0  #: of sgd, from 0; Adam has its own
-        weight_decay: float = 0.0  #: added to the gradient, times the weight (L2)
-        #: above 0; 1e-4 suits Adam (the thesis has plain gradient descent)
+        optimiser: Literal["adam", "sgd"] = "adam"  #: the optimiser of both networks
+        momentum: float = 0.0  #: momentum of sgd, from 0; Adam has its own
+        weight_decay: float = 0.0  #: L2: factor of the weights that are added to their gradient
+        #: learning rate of the actor's optimiser, above 0; 1e-4 suits Adam (the thesis has plain
+        #: gradient descent)
         actor_learning_rate: float = 1e-4
-        critic_learning_rate: float = 1e-3  #: of the critic's optimiser, above 0
+        critic_learning_rate: float = 1e-3  #: learning rate of the critic's optimiser, above 0
         #: The first iterations, in which the critic learns alone. For an actor that comes from another run without its
         #: critic (``start.parts``): advantages mean nothing until the critic has learned its values.
         critic_first: int = 0
-        entropy_weight: float = 0.0  #: of the mean entropy, added to the objective; from 0
-        #: Of the critic's mean squared error. It counts for sgd alone; Adam's steps have no scale.
+        #: weight of the mean entropy, which is added to the objective; from 0
+        entropy_weight: float = 0.0
+        #: Factor of the critic's mean squared error. It counts for sgd alone; Adam's steps have no
+        #: scale.
         value_weight: float = 1.0
-        #: Largest size of a normalised advantage; null is any.
+        #: Largest size of a normalised advantage; null sets no limit.
         advantage_clip: float | None = None
-        max_gradient_norm: float = 1.0  #: of actor and critic each
+        max_gradient_norm: float = 1.0  #: largest norm of the gradient of actor and critic, each
         #: Adapt the actor's learning rate so that an update's mean KL divergence from the policy that
         #: collected stays within a factor of two of this; null keeps the rate. The rule is the one
         #: of Schulman et al. (section 4) for the penalty, applied to the rate.

@@ -44,7 +44,7 @@ class Hopeless:
         if found:
             raise TrainingError(
                 f"{found[0]} ended in non-finite or diverged states, by the numbers of {where()}. The usual "
-                "causes are a term that divides by zero or has a root of what is negative, a time step too "
+                "causes are a term that divides by zero or takes the root of a negative number, a time step too "
                 "large for the gains, initial states in deep penetration, or an action scale far too large."
             )
 

@@ -17,7 +17,7 @@ from understudy_skills import bank
 class Bank(InitialStates):
     """States drawn uniformly from a bank (:mod:`understudy_skills.bank`).
 
-    Evaluations begin in every fifth of them, in which no training does.
+    Evaluations begin in every fifth state, in which no training begins.
 
     What the bank has beside the simulator's state are parameters, which then vary between worlds, and fields of the
     same name, constant over the episode.
@@ -27,7 +27,8 @@ class Bank(InitialStates):
     class Options:
         file: str  #: the bank, or the folder of the run that has one
         leave: tuple[str, ...] = ()  #: fields of the bank that the task takes from elsewhere
-        beside: tuple[str, ...] = ()  #: further banks of the same fields, each drawn from as often
+        #: further banks with the same fields; each bank is drawn from equally often
+        beside: tuple[str, ...] = ()
 
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator

@@ -48,7 +48,7 @@ def _within(source: str) -> Iterator[None]:
 class Controller(nn.Module):
     """What another run learned, as a function of this task's state: fields in, controls out.
 
-    It is built for this task's scene and simulator, with the run's own config sections (its clip).
+    A controller is built for this task's scene and simulator, with the run's own config sections (its clip).
     The weights are frozen; to train them further, ask for gradients (``requires_grad_``) and give them to a
     policy.
     """

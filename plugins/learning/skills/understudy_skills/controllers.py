@@ -24,9 +24,9 @@ class Controllers(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        runs: tuple[str, ...]  #: run folders, in the order of the switch's numbers
+        runs: tuple[str, ...]  #: run folders or skills, in the order of the switch's numbers
         goal: int  #: how many numbers a goal has
-        scale: float = 1.0  #: of the goal: its unit for one of the action's
+        scale: float = 1.0  #: goal, in its own unit, for an action of 1
 
         def __post_init__(self) -> None:
             check_range(self, "goal", least=1, most=10_000)

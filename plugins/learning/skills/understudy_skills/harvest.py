@@ -65,17 +65,17 @@ class Harvest(Gathering):
     class Options:
         run: str  #: folder of the run whose policy acts
         count: int = 1024  #: how many states are wanted, from 1
-        #: Which endings count: a termination term's name, any of an outcome (``success``, ``failure``,
-        #: ``truncation``), or ``any``: also the states of episodes that go wrong.
+        #: Which endings count: a termination term's name, an outcome (``success``, ``failure``,
+        #: ``truncation``), or ``any``, which also keeps the states of episodes that go wrong.
         ending: str = "success"
-        #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely;
-        #: ``change``: every state in which a decision changes ``field`` to ``value``, whatever the ending;
-        #: the first decision of an episode changes nothing.
+        #: ``end``: the state in which the episode ended; ``anywhere``: one of all its states, each
+        #: as likely; ``change``: every state in which a decision changes ``field`` to ``value``,
+        #: whatever the ending; the first decision of an episode changes nothing.
         moment: Literal["end", "anywhere", "change"] = "end"
-        field: str | None = None  #: of shape (N,), of a change
-        value: float = 0.0  #: of ``field`` after the change
-        lasting: int = 1  #: decisions: the change counts once it has lasted so long
-        fields: tuple[str, ...] = ()  #: kept beside the simulator's state
+        field: str | None = None  #: the field (N,) that changes, for ``moment=change``
+        value: float = 0.0  #: value of ``field`` after the change
+        lasting: int = 1  #: decisions for which a change must last to count
+        fields: tuple[str, ...] = ()  #: fields that are kept beside the simulator's state
         #: Keep also what was decided from the episode's beginning until then, as ``actions`` (T, A), T decisions of a
         #: whole episode, the last one again from there on: what ``actuation=replay`` plays.
         actions: bool = False
@@ -84,15 +84,16 @@ class Harvest(Gathering):
         #: it was trained, at the difficulty that its curriculum came to (a packed skill does not say: where it
         #: began).
         evaluating: bool = False
-        decisions: int = 64  #: of every world, in an iteration
-        patience: int = 50  #: iterations without any state after which there is no hope
+        decisions: int = 64  #: decisions of every world in an iteration
+        #: iterations in a row without any state after which the harvest gives up
+        patience: int = 50
 
         def __post_init__(self) -> None:
             check_range(self, "count", "decisions", "patience", "lasting", least=1)
             if (self.field is None) is (self.moment == "change"):
                 raise ValueError(
-                    f"moment={self.moment} with field={self.field} is not possible: a change has a "
-                    "field that changes, other moments have none."
+                    f"moment={self.moment} with field={self.field} is not possible: moment=change needs a "
+                    "field that changes, other moments take none."
                 )
             if self.lasting > 1 and self.field is None:
                 raise ValueError(
@@ -141,7 +142,7 @@ class Harvest(Gathering):
         if options.moment != "change" and options.ending in {"success", "failure"} - met:
             raise ConfigError(
                 f"job.ending={options.ending}: no episode of {options.run} can end so, since none of its terminations is a "
-                f"{options.ending} ({', '.join(sorted(terms)) or 'it has none'}). Episodes whose time was over are "
+                f"{options.ending} ({', '.join(sorted(terms)) or 'it has none'}). Episodes that ran out of time are "
                 "job.ending=truncation; job.ending=any takes all."
             )
         state = newest_state(str(self._source.path))

@@ -25,8 +25,8 @@ class Judge(Reinforcement):
     """Takes the policy of a finished run and ends; the run is only for its evaluation.
 
     Task, policy and evaluation are this run's own, so variants of a sweep can judge one policy under different
-    conditions, of which its training had one. If its observations or actions are not those of its training, a line
-    says so, since networks fit any that have as many numbers.
+    conditions, of which its training had only one. If observations or actions differ from those of the training, a line
+    says so, since a network fits any that have as many numbers.
     """
 
     @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Another run's actions in one of its episodes, repeated from other starts without looking."""
+"""Another run's actions in one of its episodes, repeated from other starts regardless of the state."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from understudy_skills.controller import Controller
 
 class Replay(Actuation):
     """Plays the actions of a finished run's episode open loop, through that run's actuation: the baseline of the dressing
-    paper (Clegg et al. 2018, section 9). After the last action, it is repeated. The task's own action has no effect.
+    paper (Clegg et al. 2018, section 9). At the end, the last action is repeated. The task's own action has no effect.
     """
 
     @dataclass(frozen=True)

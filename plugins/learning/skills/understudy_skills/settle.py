@@ -19,16 +19,16 @@ from understudy_skills.gathered import Gathered, Gathering
 
 
 class Settle(Gathering):
-    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of those that did not end: any
-    termination discards a state, and so do numbers that go wrong. It writes the bank ``bank`` into its folder.
+    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of episodes that did not end: any
+    termination discards a state, and so do numbers that go wrong. The job writes the bank ``bank`` into its folder.
     """
 
     @dataclass(frozen=True)
     class Options:
         count: int = 1024  #: how many states are wanted, from 1
-        seconds: float = 1.0  #: for which each is simulated (dressing: 1 s)
-        fields: tuple[str, ...] = ()  #: kept beside the simulator's state
-        patience: int = 20  #: iterations without any state after which there is no hope
+        seconds: float = 1.0  #: s, for which each episode is simulated (dressing: 1 s)
+        fields: tuple[str, ...] = ()  #: fields that are kept beside the simulator's state
+        patience: int = 20  #: iterations in a row without any state after which the job gives up
 
         def __post_init__(self) -> None:
             check_range(self, "count", "patience", least=1)
@@ -62,7 +62,7 @@ class Settle(Gathering):
         self._gathered.add(new)
         if self._gathered.barren >= self.options.patience:
             raise TrainingError(
-                f"No start of this task stays {self.options.seconds:g} s without an end, in {self._gathered.barren} times "
+                f"No episode of this task lasts {self.options.seconds:g} s, in {self._gathered.barren} times "
                 f"{count} worlds. Shorten job.seconds, or choose other initial states or terminations."
             )
         return {

@@ -244,8 +244,8 @@ def refuse_of_others(skill: Skill) -> None:
             continue
         if any(a.endswith(f" {value}") for a in left) or (Path(value) / "run.json").is_file():
             raise ConfigError(
-                f"--pack: {key}={value} is another run's, and a pack has a policy alone. Override it, as by "
-                "'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is judged and played so."
+                f"--pack: {key}={value} is another run's, and a pack has a policy alone. Override it, for example by "
+                "'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and played with that."
             )
 
 

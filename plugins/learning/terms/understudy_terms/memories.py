@@ -111,7 +111,8 @@ class RedrawnTarget(Memory):
         low: tuple[float, ...]  #: the box's lower corner, in the target's unit
         high: tuple[float, ...]  #: the box's other corner, in the target's unit
         every: float | None = None  #: seconds after which it is drawn again
-        #: Distance of ``position``, then a field that is read, at which it is drawn again.
+        #: Distance of ``position``, another field that is read, from the target at which the target
+        #: is drawn again.
         within: float | None = None
 
         def __post_init__(self) -> None:
@@ -157,7 +158,7 @@ class History(Memory):
     @dataclass(frozen=True)
     class Options:
         length: int  #: K, how many values are kept, from 1 to 10000
-        shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
+        shape: tuple[int, ...] = ()  #: shape of the value, without N: [3] for a position
 
         def __post_init__(self) -> None:
             check_range(self, "length", least=1, most=10_000)

@@ -13,7 +13,7 @@ from understudy.options import check_range
 class Shaped:
     """Options of parts that take values as they are."""
 
-    shape: tuple[int, ...] = ()  #: of the value, without N, as [3] of a position
+    shape: tuple[int, ...] = ()  #: shape of the value, without N: [3] for a position
 
     def __post_init__(self) -> None:
         check_shape(self)

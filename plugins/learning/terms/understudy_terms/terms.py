@@ -22,7 +22,7 @@ def _chosen(value: Tensor, index: int | None) -> Tensor:
 def value(
     value: Tensor,
     *,
-    #: which number of a vector; null only of a field that is one number
+    #: which number of a vector, from 0; null only for a field that is one number
     index: int | None = None,
 ) -> Tensor:
     """The field itself, (N,); for a vector, its number `index`."""
@@ -33,7 +33,7 @@ def value_where(
     value: Tensor,
     where: Tensor,
     *,
-    #: which number of a vector; null only of a field that is one number
+    #: which number of a vector, from 0; null only for a field that is one number
     index: int | None = None,
 ) -> Tensor:
     """The field, or its number `index`, where the field ``where`` (N,) is not 0; else NaN, (N,).
@@ -48,8 +48,7 @@ def steady(
     value: Tensor,
     before: Tensor,
     *,
-    #: per square of the field's unit
-    scale: float,
+    scale: float,  #: factor of the mean squared difference, per square of the field's unit
 ) -> Tensor:
     """exp(-scale m), (N,), m the mean square difference of the field's numbers from ``before``, such as its own
     ``previous_``: near 1 if it changes little in a decision."""
@@ -60,10 +59,8 @@ def steady(
 def reached(
     value: Tensor,
     *,
-    #: in the field's unit
-    within: float,
-    #: of a vector, the number that is judged; null judges all
-    index: int | None = None,
+    within: float,  #: greatest value that counts as reached, in the field's unit
+    index: int | None = None,  #: which number of a vector is judged, from 0; null judges all
 ) -> Tensor:
     """The field is at most `within`; for a vector, all its numbers are."""
     return (_chosen(value, index) <= within).view(len(value), -1).all(dim=1)
@@ -73,10 +70,8 @@ def reached(
 def beyond(
     value: Tensor,
     *,
-    #: in the field's unit
-    limit: float,
-    #: of a vector, the number that is judged; null judges all
-    index: int | None = None,
+    limit: float,  #: least value that counts as beyond, in the field's unit
+    index: int | None = None,  #: which number of a vector is judged, from 0; null judges all
 ) -> Tensor:
     """The field is at least `limit`; for a vector, any of its numbers is."""
     return (_chosen(value, index) >= limit).view(len(value), -1).any(dim=1)

@@ -12,7 +12,7 @@ from understudy.command.command import Command
 
 
 class Train(Command):
-    """Trains what the overrides compose; without any, lists the experiments."""
+    """Trains what the overrides compose; without overrides, lists the experiments."""
 
     takes_overrides = True
     example = "understudy train experiment=spacetime/walk"

@@ -1,4 +1,4 @@
-"""Who watches a run: whoever gave the command, and what plugins provide."""
+"""Who watches a run: the user who gave the command, and the observers that plugins provide."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["observers", "reporter"]
 
 
 def reporter() -> Reporter:
-    """Tells messages to whoever gave the command, and what happens to observers of its own."""
+    """Tells messages to the user who gave the command, and events to observers of its own."""
     return Reporter(tell, observers())
 
 

@@ -109,8 +109,8 @@ def _refuse_another(run: Run, experiment: Experiment) -> None:
     begun, seed = at(run.config, "seed"), experiment.root.seed
     if type(begun) is int and seed != begun:
         raise ConfigError(
-            f"seed={seed} is another run's: {run.path} was begun with seed {begun}, and what it has learned stays "
-            f"of that. Give `understudy train` seed={seed}, with start.run={run.path} if it is to begin with what "
+            f"seed={seed} is another run's: {run.path} was begun with seed {begun}, which cannot change. Give "
+            f"`understudy train` seed={seed}, with start.run={run.path} if it is to begin with what "
             "was learned here."
         )
     folder = experiment.root.run.dir

@@ -44,18 +44,20 @@ class TRPO(Learner):
         gamma: float = 0.99  #: discount of a decision, in [0, 1]
         gae_lambda: float = 0.95  #: λ of the advantages, in [0, 1]
         td_lambda: float = 0.95  #: λ of the critic's targets, in [0, 1]
-        kl_limit: float = 0.01  #: δ (Schulman et al. 2015, section 8)
+        #: δ, the greatest mean KL divergence of an update (Schulman et al. 2015, section 8)
+        kl_limit: float = 0.01
         #: iterations of the solver of a step's direction (appendix C)
         conjugate_gradient_steps: int = 10
-        damping: float = 0.1  #: added to the Fisher matrix' diagonal
+        damping: float = 0.1  #: number that is added to the diagonal of the Fisher matrix
         #: Share of the samples, evenly taken, that the Fisher matrix is estimated from (appendix C.1).
         fisher_share: float = 1.0
-        line_search_steps: int = 10  #: tries at most, from 1
-        line_search_shrink: float = 0.8  #: by which a step is shortened, in (0, 0.99]
-        value_epochs: int = 10  #: over the iteration's samples, to fit the critic
-        #: samples of one of its steps, in each process; null: 128, or a 64th of an iteration's if that is more
+        line_search_steps: int = 10  #: most tries of the line search, from 1
+        line_search_shrink: float = 0.8  #: factor by which each try shortens the step, in (0, 0.99]
+        value_epochs: int = 10  #: passes over the iteration's samples to fit the critic
+        #: samples of an optimiser step of the critic, in each process; null: 128, or a 64th of an
+        #: iteration's if that is more
         value_batch_size: int | None = None
-        critic_learning_rate: float = 1e-3  #: of Adam, above 0
+        critic_learning_rate: float = 1e-3  #: learning rate of the critic, by Adam, above 0
         #: Updates in a row with a non-finite step after which the training stops.
         patience: int = 3
 

@@ -52,14 +52,14 @@ PARTS = {
     },
     "measure": {
         "amorphous/gathered_share": ("gathering:gathered_share", "how much is near the goal"),
-        "amorphous/share_distance": ("gathering:share_distance", "how far from it 95 % reach"),
+        "amorphous/share_distance": ("gathering:share_distance", "how far 95 % are from the goal"),
         "amorphous/flipped": ("flipping:flipped", "turned over, and caught"),
     },
     "memory": {
         "amorphous/turned": ("flipping:Turned", "how far the material has turned"),
     },
     "curriculum": {
-        "amorphous/clusters": ("curricula:Clusters", "a cluster more whenever all are gathered"),
+        "amorphous/clusters": ("curricula:Clusters", "one more cluster whenever all are gathered"),
         "amorphous/lengths": ("curricula:Lengths", "episodes of different lengths"),
     },
     "report_section": {

@@ -57,37 +57,60 @@ class HoldTool(Command):
             help="the clip to write, such as cook.npz, .bvh or .glb; by default RUN/character.npz. The "
             "video is beside it, as .mp4",
         )
-        add("--character", default="amorphous/cook", metavar="NAME", help="or an MJCF file")
-        add("--hand", default="right_grip", metavar="SITE", help="what holds: a site, or a body")
+        add(
+            "--character",
+            default="amorphous/cook",
+            metavar="NAME",
+            help="a registered figure, or an MJCF file",
+        )
+        add(
+            "--hand",
+            default="right_grip",
+            metavar="SITE",
+            help="the site or body that holds the tool",
+        )
         add(
             "--grip",
             nargs=6,
             type=finite,
             metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
-            help="the tool in the hand's frame, m and degrees",
+            help="the tool's frame in the hand's, m and degrees",
         )
         add(
             "--table",
             nargs=3,
             type=finite,
             metavar=("X", "Y", "Z"),
-            help="the table's middle, in front of the figure, to its left, above its floor, m",
+            help="the table's middle, m: in front of the figure, to its left, and above its floor",
         )
         add("--facing", type=finite, metavar="DEGREES", help="where the tool faces on average")
         add(
             "--scale",
             type=positive,
             metavar="S",
-            help="m of the figure's world for one of the run's",
+            help="metres of the figure's world for one metre of the run's",
         )
         add("--turn-in-hand", action="store_true", help="the tool may turn about the hand's z axis")
         add(
-            "--cost", choices=("mass", "equal"), default="mass", help="of a joint's turn, in eq. 13"
+            "--cost",
+            choices=("mass", "equal"),
+            default="mass",
+            help="the cost of a joint's turn in eq. 13",
         )
-        add("--relax", type=finite, default=2.0, metavar="S", help="time in which joints that need not move return; 0: never")  # fmt: skip
-        add("--speed", type=positive, default=10.0, metavar="RAD/S", help="the most of any joint")
-        add("--nearest", action="store_true", help="also where the tool is out of reach")
-        add("--no-video", action="store_true", help="only the clip")
+        add("--relax", type=finite, default=2.0, metavar="S", help="seconds in which joints that need not move return to the first pose; 0: never")  # fmt: skip
+        add(
+            "--speed",
+            type=positive,
+            default=10.0,
+            metavar="RAD/S",
+            help="the greatest speed of any joint",
+        )
+        add(
+            "--nearest",
+            action="store_true",
+            help="write the nearest motion where the tool is out of reach",
+        )
+        add("--no-video", action="store_true", help="write only the clip")
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         if options.destination is not None:

@@ -19,11 +19,11 @@ from understudy_curricula.episodes import Judged, number_in
 
 @dataclass(frozen=True)
 class Between:
-    """Seconds after which training episodes are cut, drawn for each evenly between these. Worlds then
+    """Seconds after which a training episode is cut, drawn evenly between these for each one. Worlds then
     do not all begin at once, and a short rollout of many worlds has all phases of an episode."""
 
-    least: float  #: s, above 0, of the shortest
-    most: float  #: s, at least `least`
+    least: float  #: s, above 0: length of the shortest
+    most: float  #: s, at least `least`: length of the longest
 
     def __post_init__(self) -> None:
         check_range(self, "least", above=0)
@@ -67,9 +67,9 @@ class Clusters(Curriculum):
 
     Episodes that end are judged together, ``episodes`` or more at a time, by their mean return, or by
     the share of them whose last decision began with the farthest particle ``within`` (m) of the goal.
-    Where that reaches ``threshold``, there is one cluster more, and only episodes that began with it
+    Where that reaches ``threshold``, there is one cluster more, and then only episodes that began with it
     count. The paper judges single rollouts by a total reward that it does not give; of thousands of
-    worlds a lucky one would always be above it. In an evaluation there are ``most``.
+    worlds, a lucky one would always be above it. An evaluation has ``most`` clusters.
     """
 
     provides: Mapping[str, Shape] = {"clusters": (), "episode_limit": ()}
@@ -78,12 +78,15 @@ class Clusters(Curriculum):
     @dataclass(frozen=True)
     class Options:
         seconds: Between  #: s, how long training episodes are
-        start: int = 1  #: clusters in the beginning, from 1
-        most: int = 4  #: clusters in the end (section 4.1 has 4); at most ``scene.blocks``
+        start: int = 1  #: how many clusters there are at first, from 1
+        #: how many clusters there are in the end (section 4.1 has 4); at most ``scene.blocks``
+        most: int = 4
         #: what is judged: the share of episodes that end near the goal, or the mean return
         by: Literal["distance", "return"] = "distance"
-        threshold: float = 0.5  #: of the share of episodes, or of the mean return
-        within: float = 1.5  #: m; Table 3 reports 1.06 m on average
+        #: share of episodes, or mean return, from which on there is one cluster more
+        threshold: float = 0.5
+        #: m, greatest distance from the goal that counts as near; Table 3 reports 1.06 m on average
+        within: float = 1.5
         episodes: int = 256  #: how many ended episodes are judged together at least
 
         def __post_init__(self) -> None:

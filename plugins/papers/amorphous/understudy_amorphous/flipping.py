@@ -56,10 +56,8 @@ def height(
     *,
     #: the reward while the material is just above the pan (Table 2)
     c_1: float = 0.1,
-    #: 1/m, of the height above the pan (Table 2)
-    w_1: float = 10.0,
-    #: 1/m, of the height below the pan's, which is negative (Table 2)
-    w_2: float = 0.1,
+    w_1: float = 10.0,  #: 1/m, factor of the height above the pan (Table 2)
+    w_2: float = 0.1,  #: 1/m, factor of the height below the pan's, which is negative (Table 2)
 ) -> Tensor:
     """r_h (eq. 11) of d_ymin (m)."""
     return torch.where(clearance > 0, c_1 + w_1 * clearance, w_2 * clearance)
@@ -71,16 +69,12 @@ def spin(
     clearance: Tensor,
     material_angular_velocity: Tensor,
     *,
-    #: unit vector in the world, about which turning counts
+    #: unit vector in the world: the axis about which turning counts
     axis: tuple[float, float, float] = (0.0, 1.0, 0.0),
-    #: s/rad, the factor (Table 2)
-    w_3: float = 4.0,
-    #: m above the pan, from which on turning counts (Table 2)
-    c_2: float = 0.5,
-    #: rad/s, the least that counts (eq. 12)
-    least: float = -1.0,
-    #: rad/s, the most that counts (eq. 12)
-    most: float = 1.0,
+    w_3: float = 4.0,  #: s/rad, factor of the angular velocity (Table 2)
+    c_2: float = 0.5,  #: m above the pan: height from which on turning counts (Table 2)
+    least: float = -1.0,  #: rad/s, least angular velocity that counts (eq. 12)
+    most: float = 1.0,  #: rad/s, greatest angular velocity that counts (eq. 12)
 ) -> Tensor:
     """r_av (eq. 12): the angular velocity about `axis` (rad/s), between `least` and `most`, while all
     of the material is more than `c_2` (m) above the pan.
@@ -98,7 +92,7 @@ class Turned(Memory):
     ``turned`` () rad, counted over whole turns; ``angle`` () rad, the same within (−π, π]; ``toss_height``
     () m, the greatest clearance so far; ``caught_turn`` () rad, what ``turned`` was when the material last
     lay in the pan: over it, low, and moving with it. The angle is that of the disk's axis in the x-z
-    plane, so turning about this axis is no flip.
+    plane, so turning about this axis does not count as a flip.
     """
 
     reads = (
@@ -175,10 +169,8 @@ class Turned(Memory):
 def flipped(
     caught_turn: Tensor,
     *,
-    #: 1 or −1: about which way round
-    direction: float = 1.0,
-    #: rad, above 0; somewhat less than half a turn
-    least: float = 2.4,
+    direction: float = 1.0,  #: 1 or −1: the direction of the turn
+    least: float = 2.4,  #: rad, above 0: least turn that counts; somewhat less than half a turn
 ) -> Tensor:
     """Whether the material came back into the pan turned over at least once: by `least` rad or more, a
     little less than half a turn, in `direction` (1 or −1)."""

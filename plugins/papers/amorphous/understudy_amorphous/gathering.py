@@ -54,7 +54,7 @@ def gathered_share(
     active_particles: Tensor,
     goal: Tensor,
     *,
-    #: m from the goal, above 0; Table 3 reports 1.06 m on average
+    #: m, above 0: greatest distance from the goal that counts; Table 3 reports 1.06 m on average
     within: float = 1.5,
 ) -> Tensor:
     """The share (N,) of the material that is at most `within` (m) from the goal."""
@@ -68,8 +68,7 @@ def share_distance(
     active_particles: Tensor,
     goal: Tensor,
     *,
-    #: of all particles, above 0, at most 1
-    share: float = 0.95,
+    share: float = 0.95,  #: share of all particles, above 0, at most 1
 ) -> Tensor:
     """How far from the goal `share` of the material reaches, (N,) m: the distance of the particle than
     which that share of all particles is no farther. One that was left behind does not count."""
@@ -115,23 +114,17 @@ def gathering(
     previous_particle_position: Tensor,
     active_particles: Tensor,
     *,
-    #: m, added to the distance before it is squared (Table 2)
-    c_1: float = 10.0,
-    #: added to r_p at every decision (Table 2)
-    c_2: float = 0.03,
-    #: m from the goal, within which the farthest particle is home (Table 2)
-    c_3: float = 1.0,
-    #: m²: divided by the farthest particle's distance it is d_thr, how near the tool must be (Table
-    #: 2)
+    c_1: float = 10.0,  #: m, which is added to the distance before it is squared (Table 2)
+    c_2: float = 0.03,  #: number that is added to r_p at every decision (Table 2)
+    c_3: float = 1.0,  #: m from the goal within which the farthest particle is home (Table 2)
+    #: m², which divided by the farthest particle's distance is d_thr, how near the tool must be
+    #: (Table 2)
     c_4: float = 4.0,
     #: m, the least d_thr (Table 2)
     c_5: float = 1.0,
-    #: 1/m², of the decrease of d_part (Table 2)
-    w_1: float = 1.0,
-    #: 1/m, of the particles' motion (Table 2)
-    w_2: float = 5.0,
-    #: 1/m, of the tool's distance, which is subtracted (Table 2)
-    w_3: float = 0.01,
+    w_1: float = 1.0,  #: 1/m², factor of the decrease of d_part (Table 2)
+    w_2: float = 5.0,  #: 1/m, factor of the particles' motion (Table 2)
+    w_3: float = 0.01,  #: 1/m, factor of the tool's distance, which is subtracted (Table 2)
     #: the reward while the farthest particle is home (Table 2)
     w_4: float = 1.0,
     #: whether the particles' motion is divided by their number
@@ -139,8 +132,8 @@ def gathering(
 ) -> Tensor:
     """Eq. 6: r_p where the tool is near the farthest particle, else r_tool. Constants are Table 2's.
 
-    ``d_part = (c_1 + ‖x − x̂‖)²`` enters as its decrease in this decision. In its two comparisons,
-    with c_3 and with d_thr, stands the distance ‖x − x̂‖ itself: with c_1 = 10 and the constants of
+    Of ``d_part = (c_1 + ‖x − x̂‖)²`` the decrease in this decision counts. Its two comparisons,
+    with c_3 and with d_thr, take the distance ‖x − x̂‖ itself: with c_1 = 10 and the constants of
     Table 2, d_part would make the first never true and the second always c_5. `mean` divides the sum
     of the particles' motion by their number: the sum itself, ``mean: false``, outweighs everything.
     """

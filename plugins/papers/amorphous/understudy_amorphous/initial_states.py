@@ -82,9 +82,9 @@ def _at_rest(particles: Tensor, tool: Tensor, yaw: Tensor) -> dict[str, Tensor]:
 class AroundGoal(InitialStates):
     """As many blocks as the curriculum says (``clusters``), around the ``goal`` (2,) m (section 4.1).
 
-    Each block has a sector of the circle around the goal of its own, so that none is in another; which
-    ones are taken, and where in them, is drawn. The others are far away and inactive. The tool begins
-    outside the circle and more or less faces the goal.
+    Each block has its own sector of the circle around the goal, so that none is in another. Which
+    sectors are taken, and where in them a block is, is drawn. The other blocks are far away and inactive. The tool begins
+    outside the circle and roughly faces the goal.
     """
 
     reads = ("clusters",)

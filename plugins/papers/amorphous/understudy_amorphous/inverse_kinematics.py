@@ -51,13 +51,13 @@ TRIES, ASTRAY = 12, 0.7
 class Options:
     """How the joints follow."""
 
-    speed: float = 10.0  #: rad/s, the most of any joint from frame to frame
+    speed: float = 10.0  #: rad/s, greatest speed of any joint from frame to frame
     #: What a turn of a joint costs in eq. 13: the same for all, or as much as the mass that it moves (root of
     #: its share), so that the arm moves rather than the trunk.
     cost: Literal["equal", "mass"] = "mass"
     #: s, in which joints that need not move return to where they were at first; 0 is eq. 13 alone.
     relax: float = 2.0
-    clearance: float = 0.005  #: m, between what is to stay apart
+    clearance: float = 0.005  #: m, least distance between what is to stay apart
 
     def __post_init__(self) -> None:
         check_range(self, "speed", above=0)

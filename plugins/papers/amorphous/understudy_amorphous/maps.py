@@ -91,9 +91,9 @@ def in_tool_frame(points: Tensor, position: Tensor, orientation: Tensor) -> Tens
 class MaterialMaps(Encoder):
     """The images that the policy sees, O_mat (section 3.3.1), (C, N, N), in the order of ``channels``.
 
-    In the tool's frame the maps move and turn with it (with all of its pose: of a tilted scraper,
-    heights are along its own blade); in the world's they are around ``centre``. The goal is one point,
-    seen as a particle would be.
+    In the tool's frame the maps move and turn with the tool (with its whole pose: for a tilted scraper,
+    heights are along its own blade); in the world's frame they are around ``centre``. The goal is drawn as a
+    single particle would be.
     """
 
     @dataclass(frozen=True)

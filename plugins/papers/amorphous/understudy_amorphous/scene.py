@@ -32,7 +32,7 @@ BUTTER, PATTY = (0.96, 0.80, 0.38), (0.52, 0.31, 0.20)
 
 @dataclass(frozen=True)
 class Substance:
-    """A material: how its particles touch, and what ties them."""
+    """A material: at what distance its particles touch, and what ties them."""
 
     material: Material
     #: Half the distance at which two particles touch, as a share of half their distance at rest. What
@@ -108,25 +108,28 @@ class AmorphousScene(ParticleScene):
         #: what the particles are (sections 4.1 to 4.6)
         material: Literal["granular", "viscoplastic", "viscous", "elastic"] = "viscoplastic"
         blocks: int = 4  #: how many pieces of material there are
-        block: tuple[int, int, int] = (5, 5, 2)  #: particles of one along x, y and z
-        round: bool = False  #: without the particles outside the block's inscribed cylinder
-        spacing: float = 0.2  #: m, between particles at rest
+        block: tuple[int, int, int] = (5, 5, 2)  #: how many particles a block has along x, y and z
+        round: bool = False  #: whether a block has only the particles within its inscribed cylinder
+        spacing: float = 0.2  #: m, distance between particles at rest
         #: Particles along each axis for one of `block`: 2 and 3 are Table 5's medium and high.
         resolution: int = 1
         tool: Literal["scraper", "pan"] = "scraper"  #: the tool that moves the particles
-        springs: int = 32  #: the most that one particle of a visco-plastic material can have
+        #: greatest number of springs that one particle of a visco-plastic material can have
+        springs: int = 32
 
         def __post_init__(self) -> None:
             check_range(self, "blocks", "resolution", "springs", least=1, most=1000)
             check_range(self, "block", most=1000)
             if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:
                 raise ValueError(
-                    f"blocks={self.blocks} is not possible: of such blocks and resolution there would be more "
+                    f"blocks={self.blocks} is not possible: with this block and resolution there would be more "
                     f"than {_PARTICLES} particles."
                 )
             check_range(self, "spacing", above=0, most=1e3)
             if min(self.block) < 1:
-                raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")
+                raise ValueError(
+                    f"block={list(self.block)} is not possible: give at least 1 for each axis."
+                )
             if (row := self.blocks * row_gap(self.block, self.spacing)) > _ROW:
                 raise ValueError(
                     f"blocks={self.blocks} is not possible: side by side they would reach {row:.3g} m, and at most {_ROW:g} are "

@@ -26,11 +26,11 @@ PARTS = {
         "chopsticks/strokes": ("strokes:Strokes", "a brush, and a curve to follow"),
     },
     "fields": {
-        "chopsticks/plan": ("plan:Plan", "where arm, hand and sticks shall be"),
+        "chopsticks/plan": ("plan:Plan", "where arm, hand and sticks should be"),
         "chopsticks/tracking": ("tracking:Tracking", "the sticks in the palm, and errors"),
-        "chopsticks/follow": ("follow:Follow", "where everything shall be, by a plan of its own"),
+        "chopsticks/follow": ("follow:Follow", "where everything should be, by a plan of its own"),
         "chopsticks/object": ("object:Object", "the object in the palm, and errors"),
-        "chopsticks/stroke": ("strokes:Stroke", "where arm, hand and a brush shall be"),
+        "chopsticks/stroke": ("strokes:Stroke", "where arm, hand and a brush should be"),
     },
     "memory": {
         "chopsticks/again": ("again:Again", "which plan is followed; made anew where one fails"),
@@ -54,7 +54,7 @@ PARTS = {
         "chopsticks/contact_lost": ("tracking:contact_lost", "fingertips left their places"),
         "chopsticks/lost": ("object:lost", "the object is far from where it is planned"),
         "chopsticks/missed": ("object:missed", "the plan is over, the object elsewhere"),
-        "chopsticks/placed": ("object:placed", "the object is where it shall be"),
+        "chopsticks/placed": ("object:placed", "the object is where it should be"),
     },
     "sweep_page": {
         "chopsticks/gallery": ("gallery:Gallery", "the best grip of each style"),

@@ -27,13 +27,13 @@ STOPS = 4.0 * SLOWING
 class Again(Memory):
     """Which plan a world follows, and since when; a plan that fails is made anew, without noise.
 
-    A relocation fails where the object is far from its plan, or elsewhere as it ends. The sticks then slow down and stop until the object lies still,
+    A relocation fails where the object is far from its plan, or not at its goal as the plan ends. The sticks then slow down and stop until the object lies still,
     rest for the 0.1 s that a plan takes to be found, open, go up by 3 cm and begin anew, for the same goals. Trainings never plan
-    anew, as in the thesis: nothing leaves the device in them. With `onward` each relocation after the first is planned as the one before is over,
-    from where the object then lies. What is planned within an episode counts on how far the tool has slipped along its lower part in the hand.
+    anew, as in the thesis: nothing leaves the device in them. With `onward`, each relocation after the first is planned when the one before is over,
+    from where the object then lies. A plan made within an episode takes into account how far the tool has slipped along its lower part in the hand.
 
-    Somebody who watches leads one world (:meth:`send`; not in the thesis): its relocation is ended first, the next goal is theirs, and where no plan
-    reaches it the hand waits for another.
+    A visitor can lead one world (:meth:`send`; not in the thesis): the relocation that is on is ended first, the next goal is the visitor's, and where no plan
+    reaches this goal, the hand waits for another.
 
     - ``followed`` () number in the bank; ``plan_since`` () s of the episode
     - ``plan_stopped`` () s, the plan's time at which it stopped, -1 where it goes on; ``stopped_since`` () s of the episode
@@ -62,14 +62,16 @@ class Again(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        #: plans made anew in an episode of an evaluation; the thesis does not limit them
+        #: how many plans may be made anew in an episode of an evaluation; the thesis does not limit
+        #: them
         most: int = 0
-        #: plan each next relocation of an evaluation's episode only as it begins, from where the object lies
+        #: whether each next relocation of an evaluation's episode is planned only as it begins,
+        #: from where the object lies
         onward: bool = False
-        #: m from the plan at which the object counts as lost (as termination lost)
+        #: m from the plan at which the object counts as lost (as in the termination ``lost``)
         distance: float = 0.0178
         still: float = 0.02  #: m/s below which the object lies still
-        patience: float = 2.0  #: s for which the sticks wait until it does
+        patience: float = 2.0  #: s for which the sticks wait until the object lies still
 
         def __post_init__(self) -> None:
             check_range(self, "distance", "still", most=1e3)
@@ -95,7 +97,7 @@ class Again(Memory):
         if self._most or self._onward:
             self._bank.spare(context.num_worlds)
         self._context = context
-        #: m: where whoever leads wants the object, and has it brought; None before they say so.
+        #: m: where the visitor wants the object to be brought; None before they say so.
         self.target: tuple[float, float] | None = None
         self._new = False  #: whether nothing was planned for it yet
         self.refused = ""  #: why no plan reaches it, in a sentence

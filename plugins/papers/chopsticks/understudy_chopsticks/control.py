@@ -28,11 +28,15 @@ class State(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        forces: bool = True  #: normal forces on fingertips and on the sticks' tips
-        planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
-        object: bool = False  #: the object as it is and as it is planned, in the palm's frame
-        shape: bool = False  #: of what kind the object is, and how large: where worlds differ in it
-        #: how far a brush's tip is from where it shall be, in the palm's frame
+        #: whether normal forces on fingertips and on the sticks' tips are observed
+        forces: bool = True
+        #: whether the plan of arm and hand is observed beside that of the sticks
+        planned_hand: bool = True
+        #: whether the object is observed, as it is and as it is planned, in the palm's frame
+        object: bool = False
+        #: whether the object's kind and size are observed, for worlds that differ in them
+        shape: bool = False
+        #: whether the way from a brush's tip to its planned place is observed, in the palm's frame
         stroke: bool = False
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -95,8 +99,10 @@ class Offsets(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        hand: float = 1.0  #: rad, of an action of 1 on the hand (thesis: the action is the offset)
-        arm: float = 0.1  #: rad, of an action of 1 on the arm (the release explores a tenth there)
+        #: rad, offset of the hand's targets for an action of 1 (thesis: the action is the offset)
+        hand: float = 1.0
+        #: rad, offset of the arm's targets for an action of 1 (the release explores a tenth there)
+        arm: float = 0.1
         #: ``grip``: the targets that hold the sticks in parallel (thesis); ``plan``: those that hold them at the
         #: planned angle, by which the sticks open and close a little without any policy.
         base: Literal["grip", "plan"] = "grip"

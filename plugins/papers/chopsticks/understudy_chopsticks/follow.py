@@ -1,4 +1,4 @@
-"""Where arm, hand, sticks and the object shall be, by the plan that each of N worlds follows (thesis, sections 5.4.2 and 5.6).
+"""Where arm, hand, sticks and the object should be, by the plan that each of N worlds follows (thesis, sections 5.4.2 and 5.6).
 
 U hinges; m, rad, s.
 """
@@ -26,11 +26,11 @@ class Follow(Fields):
     """The plan that each world follows, at its time: what ``chopsticks/plan`` gives, and the object.
 
     - ``plan_time`` () s, since the plan began, and ``plan_lasts`` () s, how long it is
-    - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
+    - ``planned_object`` (7,): where the object should be, in the world; ``planned_held`` () 1 while the sticks hold it
     - ``planned_goal`` (3,) m, of the relocation that is on; ``planned_leg`` () its number, from 0; ``leg_over`` () 1
       in its last frame
     - ``object_shape`` (6,): 1 for its kind of sphere, capsule and box, and half of its extent along each of its axes, m
-    - ``object_ahead`` (6, 7): where it shall be every 0.05 s of the next 0.3 s, in the frame of the palm as it is
+    - ``object_ahead`` (6, 7): where it should be every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
     reads = (
@@ -56,7 +56,7 @@ class Follow(Fields):
         squeeze: float = 0.12
         #: s by which the arm's targets go ahead of the plan at its speed; null is the servos' own lag, kd / kp
         lead: float | None = None
-        #: Whether arm, hand and sticks have a plan; without one they stay as they begin, and only where the object shall
+        #: Whether arm, hand and sticks have a plan; without one they stay as they begin, and only where the object should
         #: be in the end is known (figure 5.22)
         planner: bool = True
 
@@ -151,7 +151,7 @@ class Follow(Fields):
 
     def _unplanned(self, row: Tensor, here: Tensor) -> Tensor:
         """The frames `here` (N, K, _FRAME) of the plans `row` (N,) with arm and sticks as they begin, nothing held, and the object
-        where it shall be in the end."""
+        where it should be in the end."""
         found = here.clone()
         found[..., : OBJECT.start] = self._bank.frames[row, 0, : OBJECT.start][:, None]
         found[..., OBJECT] = self._bank.at(row, self._bank.lengths[row])[:, None, OBJECT]

@@ -18,7 +18,7 @@ from understudy_tool_planner.planner import DT
 
 
 class Object(Fields):
-    """The object, and how far it is from where it shall be.
+    """The object, and how far it is from where it should be.
 
     - ``object_state`` (13,): position, rotation, linear and angular velocity in the palm's frame
     - ``object_distance`` () m and ``object_turn`` () rad from the plan; ``goal_distance`` () m from the goal
@@ -47,8 +47,9 @@ class Object(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        within: float = 0.005  #: m from the goal that count as success (figure 5.22)
-        settle: float = 0.3  #: s after the plan's end, in which the object comes to rest
+        #: m, greatest distance from the goal that counts as success (figure 5.22)
+        within: float = 0.005
+        settle: float = 0.3  #: s after the plan's end for which the object comes to rest
 
         def __post_init__(self) -> None:
             check_range(self, "within", above=0, most=1e3)
@@ -128,8 +129,8 @@ def thing(
     object_distance: Tensor,
     object_turn: Tensor,
     *,
-    distance: float = 40.0,  #: 1/m, of the distance from the plan (eq. 5.4)
-    turn: float = 10.0,  #: 1/rad, of the angle Θ (eq. 5.4); a sphere's counts as 0
+    distance: float = 40.0,  #: 1/m, factor of the distance from the plan (eq. 5.4)
+    turn: float = 10.0,  #: 1/rad, factor of the angle Θ (eq. 5.4); a sphere's counts as 0
 ) -> Tensor:
     """exp of eq. 5.4: the object as planned, exp(-40 ‖p - p̃‖ - 10 Θ)."""
     return torch.exp(-distance * object_distance - turn * object_turn)
@@ -139,7 +140,9 @@ def thing(
 def lost(
     object_distance: Tensor,
     *,
-    distance: float = 0.0178,  #: m, where exp(-20 d) is 0.7, the release's; the thesis names none
+    #: m, greatest distance from the plan; here exp(-20 d) is 0.7, the release's; the thesis names
+    #: none
+    distance: float = 0.0178,
 ) -> Tensor:
     """The object is far from where it is planned."""
     return object_distance > distance

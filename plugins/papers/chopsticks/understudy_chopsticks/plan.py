@@ -1,4 +1,4 @@
-"""Open-and-close motions as plans: where arm, hand and sticks shall be, now and ahead.
+"""Open-and-close motions as plans: where arm, hand and sticks should be, now and ahead.
 
 Two sticks, or tongs, are a gripper of seven degrees of freedom in the palm's frame: the lower one stays, the upper one
 turns by an angle φ(t) = φ₀ + A/2 (1 - cos 2πft), where φ₀ is the least of the grip's. The hand's pose follows from φ by the grip's poses, and the arm
@@ -145,9 +145,11 @@ class OpenAndClose(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        #: rad: how far the sticks close. The thesis gives none; the release's plans go to 0.12.
+        #: rad, (least, greatest) angle by which the sticks close. The thesis gives none; the
+        #: release's plans go to 0.12.
         amplitude: tuple[float, float] = (0.12, 0.12)
-        #: Hz, at most 10, of opening and closing. The thesis: "several times" within a second.
+        #: Hz, (least, greatest) rate of opening and closing, at most 10. The thesis: "several
+        #: times" within a second.
         rate: tuple[float, float] = (2.0, 2.0)
         #: rad, added to the standard arm's pose: directions to point to. The thesis has three, without numbers.
         arms: tuple[tuple[float, float, float, float, float, float, float], ...] = (

@@ -24,10 +24,10 @@ from understudy_tool_planner.planner import ASIDE, CLOSING, LEAST, PRESSING
 
 
 class Relocations(InitialStates):
-    """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
-    a share of the bank of its own.
+    """The sticks in the hand, open, and the object at the start of a plan that each world draws. In an evaluation, each world
+    draws from its own share of the bank.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
+    ``plan_row`` () is the plan's number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
     rollout_fields = ("plan_row",)
@@ -35,11 +35,13 @@ class Relocations(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
+        #: how many plans the bank has; the thesis has 100 tasks of eight objects, a GPU 256 plans
+        #: here
         plans: int = 4
         refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
-        longest: float = 3.0  #: s: relocations that take longer are not followed
-        relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
+        longest: float = 3.0  #: s, longest duration of a relocation; longer plans are not followed
+        #: how many relocations of the object a plan has, one after another; figure 5.21 has eight
+        relocations: int = 1
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
         #: whether the object is thrown, to the table's far side (section 5.7.2)
@@ -56,7 +58,8 @@ class Relocations(InitialStates):
         elsewhere: bool = False
         #: m: how high over the object a tool that comes from elsewhere goes first, before it comes down to it; 0: straight to it
         over: float = 0.0
-        #: how many times as long the tool takes to come to the object as by the thesis' 0.25 m/s (section 5.6.2)
+        #: factor, from 1 to 10, of the time in which the tool comes to the object at the thesis'
+        #: 0.25 m/s (section 5.6.2)
         slowly: float = 1.0
         #: how much more often plans are drawn that go badly: with exp(-harder r), r the mean reward of a decision that follows one
         #: (the release has 1); 0 draws evenly
@@ -70,13 +73,13 @@ class Relocations(InitialStates):
             check_range(self, "noise", least=0, most=0.05)
             if self.thrown and self.relocations > 1:
                 raise ValueError(
-                    f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
+                    f"relocations={self.relocations} is not possible with thrown=true: a thrown object lands out of reach. Set one of them alone."
                 )
             check_range(self, "over", least=0, most=0.2)
             check_range(self, "slowly", least=1, most=10)
             if self.elsewhere and self.relocations == 1:
                 raise ValueError(
-                    "elsewhere=true is not possible with relocations=1: it is between two. Set relocations=4, or leave elsewhere out."
+                    "elsewhere=true is not possible with relocations=1: the tool goes there between two relocations. Set relocations=4, or leave elsewhere out."
                 )
             check_range(self, "pressing", least=0, most=1.0)
             least = round(2 * (LEAST + CLOSING) + self.pressing + ASIDE, 6)
@@ -89,7 +92,7 @@ class Relocations(InitialStates):
                 )
             if self.refill >= self.plans:
                 raise ValueError(
-                    f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
+                    f"refill={self.refill} with plans={self.plans} is not possible: give more plans than are refilled."
                 )
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -25,28 +25,32 @@ from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 class GripSearch(OuterLoop):
-    """A search of its own for each style, asked in turn. A trial trains one candidate, or, with `together`, one of
-    each of several styles in one job.
+    """Each style has a search of its own, and the searches are asked in turn. A trial trains one candidate, or, with
+    `together`, one candidate of each of several styles in one job.
 
     A candidate whose fingers do not reach, or that lets the sticks fall within a second, costs no sample; it
-    counts as an evaluation that failed. A job that could not begin for another reason says nothing of its candidates:
-    they are asked for once more, together, and count as failed only if that does not begin either.
+    counts as an evaluation that failed. A job that could not begin for another reason tells nothing about its candidates:
+    they are asked for once more, together, and count as failed only if that job does not begin either.
     """
 
     extendable = ("evaluations",)
 
     @dataclass(frozen=True)
     class Options:
-        #: digits from the thumb on; empty takes all of the hand (seventeen for five fingers)
+        #: styles, each as digits from the thumb on; empty takes all styles of the hand (seventeen
+        #: for five fingers)
         styles: tuple[str, ...] = ()
-        fingers: int = 5  #: of the hand, 3 to 5
-        evaluations: int = 10  #: of each style (thesis, section 5.5.1)
-        initial: int = 4  #: of them, at points that no model chose
-        #: m: how far each finger's place may be from a first guess, either way
+        fingers: int = 5  #: how many fingers the hand has, 3 to 5
+        #: how many candidates of each style are evaluated (thesis, section 5.5.1)
+        evaluations: int = 10
+        initial: int = 4  #: how many of them are at points that no model chose
+        #: m, how far each finger's place may be from a first guess, either way
         spread: float = 0.025
-        together: int = 1  #: styles whose candidates share one job, each in worlds of its own
-        #: Of each candidate that shares a job: it ends at the first evaluation by which all that hold the sticks have
-        #: had as many; null leaves that to the budget, of which fewer have more each.
+        #: how many styles have candidates that share one job, each in worlds of its own
+        together: int = 1
+        #: Samples of each candidate that shares a job, after which the job ends: at the first
+        #: evaluation by which all that hold the sticks have had as many. Null leaves the end to the
+        #: budget; then the fewer candidates there are, the more samples each has.
         samples: int | None = None
         #: how a style's scores are modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)

@@ -1,7 +1,7 @@
 """A brush whose tip follows a curve (thesis, section 5.7.4): closed curves, the arm that traces them, errors.
 
 A curve is level and closed, and begins where the tip is; the brush keeps its direction, so that the palm moves as
-the tip shall and the arm follows in closed form. N worlds, C curves, T frames of 10 ms; m, s, rad.
+the tip should and the arm follows in closed form. N worlds, C curves, T frames of 10 ms; m, s, rad.
 """
 
 from __future__ import annotations
@@ -43,24 +43,24 @@ class Curves:
 
     start: np.ndarray  #: (7,) rad: the arm's pose in which all begin
     arms: Tensor  #: (C, T, 7) rad
-    tips: Tensor  #: (C, T, 3) m, in the world, where the tip shall be
+    tips: Tensor  #: (C, T, 3) m, in the world, where the tip should be
     points: Tensor  #: (C, S, 3) m, along the whole curve
 
 
 class Strokes(InitialStates):
     """Holding the brush over the table; each episode has a curve that the tip is to follow again and again.
 
-    ``stroke_row`` () is its number. Evaluations draw from curves that no training has.
+    ``stroke_row`` () is the curve's number. Evaluations draw from curves that no training has.
     """
 
     episode_fields: Mapping[str, Shape] = {"stroke_row": ()}
 
     @dataclass(frozen=True)
     class Options:
-        curves: int = 256  #: that there are; each is drawn once
-        size: float = 0.025  #: m: how far a curve's farthest point is from its middle
-        rate: float = 0.5  #: Hz: how often it is traced
-        height: float = 0.02  #: m: of the tip above the table
+        curves: int = 256  #: how many curves there are; each is drawn once
+        size: float = 0.025  #: m, distance of a curve's farthest point from its middle
+        rate: float = 0.5  #: Hz, how often a curve is traced
+        height: float = 0.02  #: m, height of the tip above the table
         longest: float = 8.0  #: s that an episode can last; it holds its last frame after that
 
         def __post_init__(self) -> None:
@@ -154,7 +154,7 @@ def _curve(wave: Tensor, phase: Tensor) -> Tensor:
 class Stroke(Fields):
     """The plan of a brush at each world's time: what ``chopsticks/plan`` gives, and its tip.
 
-    - ``planned_tip`` (3,) m, where the tip shall be, in the world
+    - ``planned_tip`` (3,) m, where the tip should be, in the world
     - ``tip_offset`` (3,) m, from there to where it is, in the palm's frame; ``tip_error`` () m, how long that is
     - ``curve_distance`` () m, of the tip from the curve, wherever on it
     """
@@ -230,7 +230,7 @@ def _unmade() -> Curves:
 def tip(
     tip_error: Tensor,
     *,
-    scale: float = 40.0,  #: 1/m, as of an object (eq. 5.4)
+    scale: float = 40.0,  #: 1/m, factor of the tip's distance, as of an object's (eq. 5.4)
 ) -> Tensor:
     """The brush's tip as planned, exp(-40 ‖p - p̃‖): eq. 5.4 with the tip in the object's place."""
     return torch.exp(-scale * tip_error)

@@ -161,7 +161,7 @@ class Hand:
 
     @dataclass(frozen=True)
     class Options:
-        scale: float = 10.0  #: w, 1/rad, from 0 (eq. 5.2)
+        scale: float = 10.0  #: w, 1/rad, from 0: factor of the pose's error (eq. 5.2)
 
         def __post_init__(self) -> None:
             check_range(self, "scale", least=0)
@@ -181,8 +181,8 @@ def sticks(
     stick_turn: Tensor,
     stick_rotation: Tensor,
     *,
-    distance: float = 40.0,  #: 1/m, of the middles' distances (eq. 5.3)
-    turn: float = 10.0,  #: 1/rad, of the angles Θ (eq. 5.3)
+    distance: float = 40.0,  #: 1/m, factor of the middles' distances (eq. 5.3)
+    turn: float = 10.0,  #: 1/rad, factor of the angles Θ (eq. 5.3)
     #: Whether Θ counts a stick's turn about its own axis, as the thesis' angle between quaternions does.
     spin: bool = False,
 ) -> Tensor:
@@ -196,7 +196,7 @@ def sticks(
 def contact(
     tip_distance: Tensor,
     *,
-    scale: float = 10.0,  #: 1/m, of the tips' distances from their places (eq. 5.5)
+    scale: float = 10.0,  #: 1/m, factor of the tips' distances from their places (eq. 5.5)
 ) -> Tensor:
     """exp of eq. 5.5: fingertips at their places on the sticks, exp(-10 Σ d)."""
     return torch.exp(-scale * tip_distance.sum(1))
@@ -206,7 +206,9 @@ def contact(
 def dropped(
     stick_distance: Tensor,
     *,
-    distance: float = 0.03,  #: m; the thesis names no early ending, this one is chosen
+    #: m, greatest distance of a stick from its plan; the thesis names no early ending, this one is
+    #: chosen
+    distance: float = 0.03,
 ) -> Tensor:
     """A stick is far from where it is planned; it has fallen, or will."""
     return (stick_distance > distance).any(dim=1)
@@ -216,7 +218,9 @@ def dropped(
 def turned(
     stick_turn: Tensor,
     *,
-    turn: float = 0.1,  #: rad, of a stick from its plan; the thesis names no early ending, this one is chosen
+    #: rad, greatest turn of a stick from its plan; the thesis names no early ending, this one is
+    #: chosen
+    turn: float = 0.1,
 ) -> Tensor:
     """A stick is turned far from its plan."""
     return (stick_turn > turn).any(dim=1)
@@ -226,7 +230,8 @@ def turned(
 def contact_lost(
     tip_distance: Tensor,
     *,
-    distance: float = 0.035,  #: m, of all tips together; the release's, where exp(-20 Σ d) is 0.5
+    #: m, greatest sum of the tips' distances; the release's, where exp(-20 Σ d) is 0.5
+    distance: float = 0.035,
 ) -> Tensor:
     """Fingertips have left their places on the sticks."""
     return tip_distance.sum(1) > distance

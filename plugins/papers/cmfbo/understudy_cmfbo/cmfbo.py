@@ -26,11 +26,11 @@ SAME = 1e-6  #: of each parameter's range: places that are the same
 
 
 class CMFBO(BookedSearch):
-    """Easy tasks find where to look, and hard ones are asked about only there (algorithms 3 and 4).
+    """Easy tasks find where to look, and hard tasks are tried only there (algorithms 3 and 4).
 
-    A trial is trained and judged at a difficulty; one above the least begins with the policy of the
+    A trial is trained and judged at a difficulty; a trial above the least difficulty begins with the policy of the
     nearest easier trial. The answer is the highest y among the trials at full difficulty: algorithm
-    4 returns the highest of all, but an easy task's value says nothing about the task's.
+    4 returns the highest of all, but an easy task's value says nothing about that of the task itself.
     """
 
     @dataclass(frozen=True)

@@ -154,7 +154,7 @@ class Adaptive(_OfLength):
     class Options:
         start: float = 1.0  #: s, above 0, that episodes last at first
         step: float = 0.5  #: s, above 0, by which they get longer at a time
-        fail_rate: float = 0.2  #: below which episodes get longer
+        fail_rate: float = 0.2  #: share of failed episodes below which episodes get longer
         patience: int | None = 500  #: iterations; null goes on to the budget
 
         def __post_init__(self) -> None:

@@ -18,9 +18,9 @@ class StateEncoder(Encoder):
     """Phase, the root's height, and of each link position, rotation, linear and angular velocity,
     relative to the root in its heading frame.
 
-    ``deviation`` adds where the root is and faces relative to the reference's. The reward depends on
-    both, and without them a character that has drifted away cannot come back; the released system moves
-    the reference to the character instead, whenever the clip begins anew. Rotations are two axes (6
+    ``deviation`` adds the root's position and heading relative to the reference's. The reward depends on
+    both, and without them a character that has drifted away cannot come back; the released system instead moves
+    the reference to the character whenever the clip begins anew. Rotations are two axes (6
     numbers) rather than quaternions, which jump in sign; the phase comes with its sine and cosine, so
     that a cycle has no seam.
     """

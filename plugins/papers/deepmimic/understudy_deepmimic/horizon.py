@@ -29,7 +29,7 @@ class Horizon:
 class NormalisedReturn:
     """Summed over an episode, Σ r_t / T(z) with T(z) in decisions: the first factor of eq. 6.5.
 
-    An episode that ends early has no reward from there on; that it is 1 means to have been as the
+    An episode that ends early has no reward from there on. The value is 1 if the character was like its
     reference for all of T(z). To be used with ``reduce: sum``.
     """
 

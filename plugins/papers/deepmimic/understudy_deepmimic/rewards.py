@@ -26,8 +26,7 @@ def pose(
     reference_root_rotation: Tensor,
     reference_joint_rotations: Tensor,
     *,
-    #: 1/rad² (section 5.3)
-    scale: float = 2.0,
+    scale: float = 2.0,  #: 1/rad², factor of the summed squared angles (section 5.3)
 ) -> Tensor:
     """r_p = exp(-2 Σ_j ‖q̂_j ⊖ q_j‖²), the angles in rad between orientations of the joints, (N, J, 4)
     relative to their parents, and of the root, (N, 4) in the world."""
@@ -42,7 +41,7 @@ class Velocity:
 
     @dataclass(frozen=True)
     class Options:
-        scale: float = 0.1  #: s²/rad² (section 5.3)
+        scale: float = 0.1  #: s²/rad², factor of the summed squared velocities (section 5.3)
 
         def __post_init__(self) -> None:
             check_range(self, "scale", above=0)
@@ -68,8 +67,7 @@ def end_effectors(
     reference_root_heading: Tensor,
     reference_end_effector_positions: Tensor,
     *,
-    #: 1/m² (section 5.3)
-    scale: float = 40.0,
+    scale: float = 40.0,  #: 1/m², factor of the summed squared distances (section 5.3)
 ) -> Tensor:
     """r_e = exp(-40 Σ_e ‖p̂_e - p_e‖²), the positions in m of hands and feet along world axes.
 
@@ -89,8 +87,7 @@ def com(
     com_position: Tensor,
     reference_com_position: Tensor,
     *,
-    #: 1/m² (section 5.3)
-    scale: float = 10.0,
+    scale: float = 10.0,  #: 1/m², factor of the squared distance (section 5.3)
 ) -> Tensor:
     """r_c = exp(-10 ‖ĉ - c‖²), the centres of mass (N, 3) in m in the world."""
     return torch.exp(-scale * (reference_com_position - com_position).square().sum(dim=1))

@@ -38,7 +38,7 @@ class Count(Command):
             ("by", "strategies differ where these measures are DISTINCT apart or more"),
             (
                 "by-rotation",
-                "the same of a rotation: DISTINCT in rad, and the six measures of its x axis and z axis",
+                "the same for a rotation: DISTINCT in rad, and the six measures of its x axis and z axis",
             ),
         ):
             parser.add_argument(
@@ -50,14 +50,16 @@ class Count(Command):
             type=float,
             default=0.5,
             metavar="SHARE",
-            help="of attempts with which a trial counts (default: 0.5)",
+            help="least share of successful attempts with which a trial counts (default: 0.5)",
         )
 
     def run(self, options: argparse.Namespace) -> int:
         measures = [_measure(words, "euclidean", options.success) for words in options.by]
         measures += [_measure(words, "rotation", options.success) for words in options.by_rotation]
         if not measures:
-            raise ConfigError("Say by what: --by DISTINCT MEASURE … or --by-rotation.")
+            raise ConfigError(
+                "Say by which measures strategies differ: --by DISTINCT MEASURE … or --by-rotation."
+            )
         counts = [_counts(folder, measures) for folder in options.folder]
         heads = ["search", "trials", *(f"by {m.features[0]}, {m.distinct:g}" for m in measures)]
         rows = [

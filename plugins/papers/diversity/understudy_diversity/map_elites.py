@@ -32,8 +32,8 @@ class MapElites(StrategySearch):
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
-        cells: int = 20  #: of the grid, along each feature
-        step: float = 0.2  #: standard deviation of the step, of a parameter's range
+        cells: int = 20  #: how many cells the grid has along each feature
+        step: float = 0.2  #: standard deviation of a step, as a share of the parameter's range
 
         def __post_init__(self) -> None:
             super().__post_init__()

@@ -69,7 +69,7 @@ def _frame(width: float, height: float, content: str, label: str) -> str:
 
 
 def space(strategies: Sequence[Strategy], options: Options, value: Value) -> str:
-    """Features against how well: of one feature its axis, of two both, of more the plane that keeps their
+    """Features against results: one feature as an axis, two as both axes, and more as the plane that keeps their
     distances best (classical scaling)."""
     shown = [s for s in strategies if s.feature is not None]
     if not shown:

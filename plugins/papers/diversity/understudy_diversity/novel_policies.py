@@ -40,9 +40,9 @@ class NovelPolicies(OuterLoop):
     class Options:
         search: str  #: folder of the finished search
         features: dict[str, Feature]  #: by measure; may be others than the earlier search's
-        distinct: float  #: distance of features at which strategies are different ones, above 0
+        distinct: float  #: distance of features from which on strategies are different, above 0
         feature_field: str  #: the field that holds the feature at the end of an episode
-        rounds: int = 5  #: trainings one after the other, from 1, of each strategy
+        rounds: int = 5  #: how many trainings each strategy has, one after the other, from 1
         threshold: float = 1.5707963  #: d_threshold of eq. 4.11, in the features' unit, above 0
         #: distance of features: of vectors, or the angle in rad between two rotations
         metric: Metric = "euclidean"

@@ -21,14 +21,15 @@ class DiversitySearch(StrategySearch):
     """After ``initial`` random trials, ``explore`` at x_{t+1} = argmax σ_t(x), then ``exploit`` at
     x_{t+1} = argmax â(x), and so on.
 
-    A trial that succeeded too rarely to show a strategy, like one that still runs, is taken to show
-    what the model expects, so that it is not asked for again.
+    A trial that succeeded too rarely to show a strategy, like a trial that still runs, is taken to show
+    what the model expects, so that its point is not asked for again.
     """
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
-        explore: int = 3  #: N_exp, trials in a row where the model is least certain
-        exploit: int = 3  #: N_opt, trials in a row where it expects most novelty
+        explore: int = 3  #: N_exp, how many trials in a row are where the model is least certain
+        #: N_opt, how many trials in a row are where the model expects most novelty
+        exploit: int = 3
 
         def __post_init__(self) -> None:
             super().__post_init__()
@@ -73,8 +74,8 @@ def model_of(strategies: Strategies, seed: int, number: int) -> tuple[Surrogate,
 
 
 def chance(strategies: Strategies, seed: int, number: int) -> Acquisition:
-    """How likely trials are to show a strategy: a Gaussian process of whether those so far did, within
-    [0, 1]; 1 everywhere as long as all did."""
+    """How likely trials are to show a strategy: a Gaussian process of whether the trials so far did, within
+    [0, 1]; 1 everywhere as long as all of them did."""
     finished = strategies.finished()
     if all(s.feature is not None for s in finished):
         return lambda x: torch.ones(len(x), dtype=x.dtype)

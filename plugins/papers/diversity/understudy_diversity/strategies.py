@@ -32,8 +32,8 @@ Metric = Literal["euclidean", "rotation"]
 class Feature:
     """A measure that tells strategies apart, and the range of its values."""
 
-    low: float  #: the least value, in the measure's unit
-    high: float  #: the greatest value, in the measure's unit
+    low: float  #: least value of the feature, in the measure's unit
+    high: float  #: greatest value of the feature, in the measure's unit
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
@@ -46,18 +46,18 @@ class Feature:
 class GalleryOptions:
     """What the gallery shows of a strategy beside its video."""
 
-    #: The measure that says how well it does, in a name of one's own; null is the objective.
+    #: The measure that says how well a strategy does, by a name of your own; null is the objective.
     best: str | None = None
-    best_name: str = ""  #: what people call ``best``
-    unit: str = ""  #: in which ``best`` is shown
-    scale: float = 1.0  #: from the measure's unit to ``unit``
+    best_name: str = ""  #: name of ``best`` on the page
+    unit: str = ""  #: unit in which ``best`` is shown
+    scale: float = 1.0  #: factor from the measure's unit to ``unit``
     #: Number of the recorded field ``track`` that is greatest at the peak, or nearest to ``at``; null is
     #: mid-way.
     track: str | None = None
     index: int = 0  #: which number of ``track``, from 0
     #: value of ``track``, in its unit, at which the picture is taken; null takes the greatest
     at: float | None = None
-    #: of parameters and features, for people
+    #: names of parameters and features on the page, by what they are called in the configuration
     names: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -65,8 +65,8 @@ class GalleryOptions:
 class Stalled:
     """A trial is hopeless once a figure of its training has not risen for so many samples."""
 
-    figure: str  #: of the rows with which trials report: curriculum/difficulty, or a measure
-    samples: float  #: training samples without a rise, above 0
+    figure: str  #: the figure that trials report: curriculum/difficulty, or a measure
+    samples: float  #: training samples without a rise after which a trial is ended, above 0
     #: A trial whose figure has come to this is never hopeless: a bar at its target cannot rise.
     until: float | None = None
 
@@ -116,7 +116,7 @@ class DiversityOptions:
 
     parameters: Mapping[str, Parameter]  #: by option of the configuration, the range to search
     features: Mapping[str, Feature]  #: by measure: f of section 4.5.1
-    distinct: float  #: distance of features at which strategies are different ones
+    distinct: float  #: distance of features from which on strategies are different, above 0
     trials: int  #: how many trainings, from 1
     initial: int = 2  #: trials at random points, before a model chooses
     #: Distance of features: of vectors, or the angle in rad between two rotations, whose x axes and

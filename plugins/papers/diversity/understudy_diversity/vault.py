@@ -102,10 +102,10 @@ class TakeOff(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        spin: float = 0.0  #: rad/s, of the body, at take-off
-        climb: float = 4.0  #: m/s, from 0, upwards at take-off
-        lean: float = 0.0  #: rad, of the body's pitch at take-off
-        noise: float = 0.05  #: of each of these, at most, in its unit
+        spin: float = 0.0  #: rad/s, angular velocity of the body at take-off
+        climb: float = 4.0  #: m/s, from 0: velocity upwards at take-off
+        lean: float = 0.0  #: rad, the body's pitch at take-off
+        noise: float = 0.05  #: largest deviation of each of these, in its unit
 
         def __post_init__(self) -> None:
             check_range(self, "climb", most=1e3)
@@ -179,7 +179,8 @@ class Limbs(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        push: float = 12.0  #: rad/s² by which the take-off foot turns the body, at most
+        #: rad/s², largest angular acceleration that the take-off foot gives the body
+        push: float = 12.0
 
         def __post_init__(self) -> None:
             check_range(self, "push", least=0, most=1e5)
@@ -198,8 +199,7 @@ def passing(
     crossing: Tensor,
     cleared: Tensor,
     *,
-    #: m, above 0, by which passing higher is worth a factor e
-    scale: float = 1.0,
+    scale: float = 1.0,  #: m, above 0: passing higher by so much is worth a factor e
 ) -> Tensor:
     """When the bar is passed, e^{(cleared - 1 m) / scale}: sparse, and more for passing higher."""
     return crossing * ((cleared - 1.0) / scale).exp()

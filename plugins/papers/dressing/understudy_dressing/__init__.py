@@ -1,4 +1,4 @@
-"""Learning to dress (Clegg et al. 2018): a person, a sleeve, and what the two have to do with each other."""
+"""Learning to dress (Clegg et al. 2018): a person, garments, and how each touches the other."""
 
 from understudy_skills.packaged import skills_beside
 
@@ -21,7 +21,7 @@ PARTS = {
         "dressing/worn": ("skirt:Worn", "a skirt that its wearer moves"),
     },
     "fields": {
-        "dressing/limb_progress": ("state:LimbProgress", "how far a limb is in a sleeve, alone"),
+        "dressing/limb_progress": ("state:LimbProgress", "how far a limb is in a sleeve"),
         "dressing/sleeve_state": ("state:SleeveState", "touch and limb in a sleeve"),
         "dressing/shirt_state": ("shirt_state:ShirtState", "hem, collar, and arm under the hem"),
     },

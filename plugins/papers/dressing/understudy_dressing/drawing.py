@@ -1,4 +1,4 @@
-"""What a film shows beside person and garment: where the person feels it, and the task vector."""
+"""What a film shows beside person and garment: where the person feels the garment, and the task vector."""
 
 from __future__ import annotations
 

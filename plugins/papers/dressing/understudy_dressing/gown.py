@@ -34,14 +34,16 @@ class GownScene(HangingScene):
     class Options:
         file: str  #: YAML that names mesh and loops, among them ``left_sleeve`` and ``right_sleeve``, where the sleeves end
         side: Side = "right"  #: the arm that goes in, whose sleeve is held
-        turn: float = 0.0  #: degrees about the vertical, before the wearer faces as the person does
+        #: degrees by which the gown is turned about the vertical, until its wearer faces as the
+        #: person does
+        turn: float = 0.0
         #: m along the cloth from where the sleeve ends to the loop (assistive-gym's gown at a unit of 1.3: 0.46 m round there, as
         #: the 2018 code's loop)
         loop: float = 0.09
         grip: float = 0.0975  #: m along the cloth from the loop to the patch's middle (2018 code: 0.085 to 0.11)
         #: on which side of the loop: the ``sleeve``, towards where it ends, or the ``body``
         grip_on: Literal["sleeve", "body"] = "sleeve"
-        fabric: Fabric = field(default_factory=Fabric)  #: what it is made of
+        fabric: Fabric = field(default_factory=Fabric)  #: fabric that the gown is made of
 
         def __post_init__(self) -> None:
             check_range(self, "turn", least=-360, most=360)
@@ -64,7 +66,7 @@ class GownScene(HangingScene):
             ends.add(frozenset(self._garment.loops[name].tolist()))
             if not ends <= set(borders):
                 raise ConfigError(
-                    f"scenes.cloth.file={path}: '{name}' is not the border of a hole, and a sleeve ends in one; name it by hole: VERTEX."
+                    f"scenes.cloth.file={path}: '{name}' is not the border of a hole, and a sleeve must end in one; name the border by hole: VERTEX."
                 )
         if len(ends) < 2:
             raise ConfigError(
@@ -112,7 +114,7 @@ class GownScene(HangingScene):
         ]  # fmt: skip
         if len(found) != 1:
             raise ConfigError(
-                f"scenes.cloth.loop={self.options.loop:g}: so far from the end of the {side} sleeve the garment is no tube; give less."
+                f"scenes.cloth.loop={self.options.loop:g}: this far from the end of the {side} sleeve, the garment is no tube; give less."
             )
         middle = x[found[0]].mean(axis=0)
         ring = x[found[0]] - middle
@@ -129,7 +131,7 @@ class GownScene(HangingScene):
         ring = np.flatnonzero((away < _RADIUS / 2) & (on_body == (self.options.grip_on == "body")))
         if not len(ring):
             raise ConfigError(
-                f"scenes.cloth.grip={self.options.grip:g}: the garment has no cloth so far from the loop; give less."
+                f"scenes.cloth.grip={self.options.grip:g}: the garment has no cloth this far from the loop; give less."
             )
         top = ring[x[ring, 2].argmax()]
         return np.flatnonzero(self._along(np.array([top])) <= _RADIUS)

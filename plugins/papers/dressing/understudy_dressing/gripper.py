@@ -40,7 +40,7 @@ class GripperObservation(Encoder):
 
 class GripperForces(Actuation):
     """Forces and torques of the gripper, in shares of 2 N and 2 N m, cut at ±1; the person acts by the mode of a
-    run's policy, as often as it was trained to."""
+    run's policy, as often as in that policy's training."""
 
     @dataclass(frozen=True)
     class Options:

@@ -33,8 +33,8 @@ class JacketScene(CutGarment):
 
     @dataclass(frozen=True)
     class Options:
-        edge: float = 0.024  #: m, of triangles, about (2018 code: 24 mm)
-        fabric: Fabric = field(default_factory=Fabric)  #: what it is made of
+        edge: float = 0.024  #: m, edge of a triangle, about (2018 code: 24 mm)
+        fabric: Fabric = field(default_factory=Fabric)  #: fabric that the jacket is made of
 
         def __post_init__(self) -> None:
             check_range(self, "edge", least=0.015, most=0.03)

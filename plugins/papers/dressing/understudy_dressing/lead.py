@@ -42,24 +42,26 @@ class Lead(Leading):
 
     @dataclass(frozen=True)
     class Options(LeadingOptions):
-        #: s, for the hem to come down; if `held` or `back`, for each step of that
+        #: s in which the hem comes down; if `held` or `back`, for each step of that
         lowers: float = 0.6
-        speed: float = 0.8  #: m/s, of fingertip and elbow, which go their own ways
-        most: float = 2.2  #: s, within which the hand has to be in
-        out: float = 1.6  #: s, in which the arm goes out to its side
-        torn: float = 2.6  #: area ratio of states that are not kept
+        speed: float = 0.8  #: m/s, speed of fingertip and elbow, which go their own ways
+        most: float = 2.2  #: s within which the hand has to be in
+        out: float = 1.6  #: s in which the arm goes out to its side
+        torn: float = 2.6  #: area ratio from which on states are not kept
         enough: float = 0.08  #: progress at which the arm begins to go out to its side
-        elbow: tuple[float, float, float] = (0.28, 0.09, -0.08)  #: m, where the left elbow goes
+        #: m, place to which the left elbow goes
+        elbow: tuple[float, float, float] = (0.28, 0.09, -0.08)
         #: whether arms are first led under the hem, from a bank of the held hem (`initial_states.worn=held`); the hem is
         #: lowered as the hand goes back to its shoulder, and the bank `tucks` has the way until then
         held: bool = False
         #: if `held`, whether the other hand has only just taken the hem: it first brings it to the front, the trunk upright
         taken: bool = False
-        goes: float = 0.6  #: s, from each place to the next on the way under the hem
+        goes: float = 0.6  #: s from each place to the next on the way under the hem
         #: whether the hand goes back to its shoulder as the hem is lowered, as it does if `held`: for states in which a policy
         #: has brought the hand no further than under the hem
         back: bool = False
-        side: Side = "left"  #: the arm that goes in: the paper's first, or `right`, the second
+        #: the arm that goes in: `left`, the paper's first, or `right`, the second
+        side: Side = "left"
 
         def __post_init__(self) -> None:
             super().__post_init__()

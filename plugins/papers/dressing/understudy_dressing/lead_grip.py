@@ -29,9 +29,9 @@ class LeadGrip(Leading):
 
     @dataclass(frozen=True)
     class Options(LeadingOptions):
-        speed: float = 0.8  #: m/s, of the fingertip
-        most: float = 3.0  #: s, within which the hand has to be there
-        near: float = 0.03  #: m, from the grip's target: within this the hand has arrived
+        speed: float = 0.8  #: m/s, speed of the fingertip
+        most: float = 3.0  #: s within which the hand has to be there
+        near: float = 0.03  #: m, distance from the grip's target within which the hand has arrived
         side: Side = "left"  #: the hand that is to grip
 
         def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ class LeadRest(Leading):
 
     @dataclass(frozen=True)
     class Options(LeadingOptions):
-        seconds: float = 1.6  #: s, that the way back takes
+        seconds: float = 1.6  #: s that the way back takes
 
         def __post_init__(self) -> None:
             super().__post_init__()

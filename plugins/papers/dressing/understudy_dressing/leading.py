@@ -61,9 +61,9 @@ class LeadingOptions:
     """What all jobs that lead are asked."""
 
     bank: str  #: the bank in which the ways begin, or the folder of the run that has it
-    count: int = 24  #: how many of its states are led, evenly spaced
-    keep: int = 3  #: one state is kept of this many decisions of a way
-    torn: float = 2.0  #: area ratio of states that are not kept
+    count: int = 24  #: how many of the bank's states are led, evenly spaced
+    keep: int = 3  #: of so many decisions of a way, one state is kept
+    torn: float = 2.0  #: area ratio from which on states are not kept
 
     def __post_init__(self) -> None:
         check_range(self, "count", least=1, most=100_000)

@@ -97,7 +97,7 @@ class Reach(Encoder):
 
 
 class Torques(Actuation):
-    """Torques of the hinges that move, in shares of their largest, cut at ±1; grips are as they are told."""
+    """Torques of the hinges that move, in shares of their largest, cut at ±1; grips hold or not, as `closed` says."""
 
     @dataclass(frozen=True)
     class Options:

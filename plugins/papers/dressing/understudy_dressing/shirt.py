@@ -37,15 +37,15 @@ class ShirtScene(CutGarment):
 
     @dataclass(frozen=True)
     class Options:
-        edge: float = 0.021  #: m, of triangles, about (2018 code: 22 mm)
+        edge: float = 0.021  #: m, edge of a triangle, about (2018 code: 22 mm)
         collar: float = 0.20  #: m, width of the collar
-        width: float = 0.64  #: m, of the body laid flat, half the hem
-        height: float = 0.76  #: m, from the hem to the neck's highest point
+        width: float = 0.64  #: m, width of the body laid flat, half the hem
+        height: float = 0.76  #: m, height from the hem to the neck's highest point
         entrance: float = 0.265  #: m, width of a sleeve laid flat where it begins
-        end: float = 0.245  #: m, and where it ends
+        end: float = 0.245  #: m, width of a sleeve laid flat where it ends
         #: sub-steps of 10 ms in which it is put on, held and led before an episode; a task's own are `scene.steps.cloth`
         substeps: int = 10
-        fabric: Fabric = field(default_factory=Fabric)  #: what it is made of
+        fabric: Fabric = field(default_factory=Fabric)  #: fabric that the shirt is made of
 
         def __post_init__(self) -> None:
             check_range(self, "edge", least=0.015, most=0.032)

@@ -76,9 +76,13 @@ class ShirtState(Fields):
     class Options:
         side: Side = "left"  #: the arm that goes in (the paper's first)
         hand: Side = "right"  #: the hand that is to grip, or grips
-        near: float = 0.05  #: m, of the grip's target (2018 code)
-        enough: float = 0.6  #: progress (2018 code: 0.6 of the first sleeve, 0.5 of the second)
-        rest: float = 0.5  #: rad, from the neutral pose (2018 code)
+        #: m, distance from the grip's target within which the hand has arrived (2018 code)
+        near: float = 0.05
+        #: progress from which on the arm is in its sleeve (2018 code: 0.6 of the first sleeve, 0.5
+        #: of the second)
+        enough: float = 0.6
+        #: rad, distance from the neutral pose within which the person rests (2018 code)
+        rest: float = 0.5
         #: whether an arm is under the hem only while its fingertip is touched from inside (2018 code: of the second
         #: arm); without it an arm that goes around the hem counts, too
         inside: bool = True

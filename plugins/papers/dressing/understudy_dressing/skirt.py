@@ -34,13 +34,14 @@ class SkirtScene(ClothScene):
 
     @dataclass(frozen=True)
     class Options:
-        character: str = "humanoid"  #: as in the scene of the one who wears it
+        #: the character, as in the scene of the one who wears the skirt
+        character: str = "humanoid"
         waist: float = 0.95  #: m, perimeter of the waistband
         hem: float = 1.9  #: m, perimeter of the lower edge
-        length: float = 0.42  #: m, from waistband to hem along the cloth
-        height: float = 0.06  #: m, of the waist above the root body's frame
-        edge: float = 0.04  #: m, of triangles, about
-        #: what it is made of; without bending the hinges cost nothing
+        length: float = 0.42  #: m, length from waistband to hem along the cloth
+        height: float = 0.06  #: m, height of the waist above the root body's frame
+        edge: float = 0.04  #: m, edge of a triangle, about
+        #: fabric that the skirt is made of; without bending the hinges cost nothing
         fabric: Fabric = field(default_factory=lambda: Fabric(bending=0.0))
 
         def __post_init__(self) -> None:
@@ -117,8 +118,8 @@ def _surfaces(model: mujoco.MjModel, name: str) -> tuple[tuple[str, ...], tuple[
 
 
 class Worn(Coupling):
-    """A skirt follows the character's bodies, hangs around its root where an episode begins, as fast as that
-    moves, and never opens. So the task of the one who wears it stays as it is."""
+    """A skirt follows the character's bodies and never opens. When an episode begins, it hangs around the character's root and
+    moves as fast as the root. So the wearer's task does not change."""
 
     reads = ("xpos", "xquat", "cvel", "subtree_com")
     sets = ("tool_position", "tool_orientation", "cloth_position", "cloth_velocity")

@@ -66,14 +66,15 @@ class SleeveScene(HangingScene):
 
     @dataclass(frozen=True)
     class Options:
-        around: float = 0.46  #: m, perimeter (the 2018 code's gown: 0.46)
-        length: float = 0.30  #: m, along the arm
-        edge: float = 0.012  #: m, of triangles, about
+        around: float = 0.46  #: m, perimeter of the sleeve (the 2018 code's gown: 0.46)
+        length: float = 0.30  #: m, length of the sleeve along the arm
+        edge: float = 0.012  #: m, edge of a triangle, about
         #: m, from the entrance to the loop that is observed (facts of the shirt)
         middle: float = 0.06
-        held: float = 20.0  #: degrees, to either side of the top, of the entrance that is held
-        strip: float = 20.0  #: degrees, to either side of the top, held all along
-        #: what it is made of; without bending the hinges cost nothing
+        held: float = 20.0  #: degrees to either side of the top within which the entrance is held
+        #: degrees to either side of the top within which the sleeve is held all along
+        strip: float = 20.0
+        #: fabric that the sleeve is made of; without bending the hinges cost nothing
         fabric: Fabric = field(default_factory=Fabric)
 
         def __post_init__(self) -> None:

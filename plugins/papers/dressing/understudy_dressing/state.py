@@ -1,4 +1,4 @@
-"""What person and sleeve have to do with each other: touch, the limb in the opening, the task vector."""
+"""The state of person and sleeve together: touch, the limb in the opening, the task vector."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ def _nearest(points: Tensor, sites: Tensor) -> Tensor:
 
 
 class LimbProgress(Fields):
-    """``limb_progress`` () is what ``progress`` of :class:`SleeveState` is, by itself: what is remembered of every
-    control period needs no more, and touch costs ten times as much."""
+    """``limb_progress`` () is the same as ``progress`` of :class:`SleeveState`, computed by itself: memories that read it in every
+    control period need no more, and touch costs ten times as much."""
 
     @dataclass(frozen=True)
     class Options:

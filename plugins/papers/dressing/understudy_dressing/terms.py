@@ -45,7 +45,7 @@ class AlongWay:
 
     @dataclass(frozen=True)
     class Options:
-        width: float = 1.0  #: rad, the distance over all hinges at which it is 1/e
+        width: float = 1.0  #: rad, distance over all hinges at which the reward is 1/e
 
         def __post_init__(self) -> None:
             check_range(self, "width", above=0, most=100)
@@ -85,7 +85,7 @@ class PoseError:
 def on_the_way(
     most_progress: Tensor,
     *,
-    enough: float = 0.75,  #: progress (section 9: 0.75)
+    enough: float = 0.75,  #: progress, in [0, 1], up to which decisions count (section 9: 0.75)
 ) -> Tensor:
     """1 until `enough` was reached for the first time in the episode, (N,): summed, the decisions that it takes."""
     return (most_progress < enough).float()
@@ -97,7 +97,7 @@ class Upright:
     @dataclass(frozen=True)
     class Options:
         part: str = "torso"  #: `torso`, or `neck` for the head's
-        least: float = -2.5  #: rad, the least that it gives (2018 code: −2.5, head −1.2)
+        least: float = -2.5  #: rad, least value of the reward (2018 code: −2.5, head −1.2)
 
         def __post_init__(self) -> None:
             check_range(self, "least", least=-100, most=100)

@@ -38,16 +38,17 @@ _OBSTACLE, _GAP, _THICK = "obstacle", 0.02, 0.8
 class ArenaOptions:
     """The obstacle and the mat behind it."""
 
-    #: m, of the obstacle at difficulty 0 and 1 (table 4.1)
+    #: m, height of the obstacle at difficulty 0 and 1 (table 4.1)
     height: tuple[float, float] = (0.5, 2.0)
-    width: tuple[float, float] = (0.02, 0.02)  #: m, along the jump, likewise
+    #: m, width of the obstacle along the jump, at difficulty 0 and 1
+    width: tuple[float, float] = (0.02, 0.02)
     #: Difficulties at which ρ, by which control rate and offsets are scheduled, is 0 and 1.
     schedule: tuple[float, float] = (0.0, 1 / 3)
-    length: float = 8.0  #: m, of obstacle and mat across the jump
+    length: float = 8.0  #: m, size of obstacle and mat across the jump
     mat: float = 5.0  #: m, how far the mat reaches
     #: m: how much lower than the obstacle the mat is, within ``mat_height``.
     drop: float = 0.7
-    mat_height: tuple[float, float] = (0.1, 0.75)  #: m, least and greatest
+    mat_height: tuple[float, float] = (0.1, 0.75)  #: m, least and greatest height of the mat
     softness: float = 0.04  #: s, in which the mat stops what falls on it
     gravity: float = 9.81  #: m/s², downwards, above 0
 

@@ -49,12 +49,13 @@ class Attempt(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        behind: float = 0.2  #: m behind the obstacle, before anything touches the mat
+        #: m behind the obstacle, where all of the body must be before anything touches the mat
+        behind: float = 0.2
         take_off: str = "right_ankle"  #: the foot that may touch the ground
         #: ``trunk``: the trunk or four links lie on the mat; ``feet``: both feet have touched it, and
         #: nothing else before them (section 4.7.2).
         landing: Literal["trunk", "feet"] = "trunk"
-        tolerance: float = 0.003  #: m above a surface that still touches it
+        tolerance: float = 0.003  #: m above a surface, within which a point still touches it
 
         def __post_init__(self) -> None:
             check_range(self, "behind", "tolerance", least=0, most=1e3)
@@ -166,10 +167,10 @@ class Jump(Fields):
 
     - ``root_axes`` (6,): where the root's x axis points in the world, then its z axis
     - ``facing_up`` () rad, in [0, pi]: between where the root faces and up; 0 is on its back
-    - ``crossing`` () bool: the centre of mass is past the middle of the obstacle
+    - ``crossing`` () 1 where the centre of mass is past the middle of the obstacle, else 0
     - ``root_spin`` () rad/s, the size of the root's angular velocity
     - ``target_offset`` () rad: sum of how far all servos' targets are from where the joints are
-    - ``offset_limit`` () rad: c_offset = 48 - 33 ρ
+    - ``offset_limit`` () rad: c_offset, linear in ρ between the two of `limit`; by default 48 - 33 ρ
     """
 
     reads = (
@@ -188,7 +189,7 @@ class Jump(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        limit: tuple[float, float] = (48.0, 15.0)  #: rad, c_offset at ρ = 0 and 1
+        limit: tuple[float, float] = (48.0, 15.0)  #: rad, c_offset at ρ = 0 and at ρ = 1
 
         def __post_init__(self) -> None:
             check_range(self, "limit", least=0, most=100)

@@ -20,19 +20,19 @@ class Accumulated(Curriculum):
     """Each iteration's mean return of the episodes that ended is added up; beyond R_T (table 4.1) the
     difficulty rises by a step and the sum begins anew.
 
-    The paper's iteration is of 4096 samples; one of more counts as so many. With `groups`, world i
+    The paper's iteration has 4096 samples; a larger one counts as several. With `groups`, world i
     belongs to group i mod groups, and each group has a difficulty of its own; how long decisions last
-    follows from their mean.
+    follows from the mean of these.
     """
 
     @dataclass(frozen=True)
     class Options:
         #: R_T, sum of mean returns beyond which a step is taken (table 4.1)
         threshold: float = 30.0
-        step: float = 1 / 150  #: of the difficulty: Δz over z_max - z_min
+        step: float = 1 / 150  #: by how much the difficulty rises at a time: Δz over z_max - z_min
         start: float = 0.0  #: the first difficulty, in [0, 1]
-        batch: int = 4096  #: samples of the paper's iteration
-        groups: int = 1  #: of worlds, from 1, each with a difficulty of its own
+        batch: int = 4096  #: samples in an iteration of the paper
+        groups: int = 1  #: how many groups worlds form, from 1, each with a difficulty of its own
         #: Control periods of a decision: (difficulty, periods) with rising difficulties.
         decision: tuple[tuple[float, int], ...] = field(default_factory=tuple)
 

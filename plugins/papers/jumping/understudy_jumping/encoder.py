@@ -17,13 +17,14 @@ class GlobalState(Encoder):
     """Where the root is, the obstacle's height and width; and of each link its position relative to
     the root, rotation (two axes), linear and angular velocity, all along the world's axes.
 
-    Not along the heading's: that jumps when the athlete faces up. With `takeoff`, what the episode
-    began with is seen too, for one policy of many take-offs.
+    The axes are not the heading frame's, which jumps when the athlete faces up. With `takeoff`, the features that the
+    episode began with are observed, too, for one policy of many take-offs.
     """
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: bool = False  #: whether the policy sees what the episode began with
+        #: whether the policy sees the features of the take-off that the episode began with
+        takeoff: bool = False
 
     shape: Shape
 

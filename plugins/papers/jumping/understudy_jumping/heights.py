@@ -26,10 +26,10 @@ _MOST = 1000
 
 class Heights(Command):
     """Judges a run at the obstacle that its training came to, and at ever easier ones until enough
-    attempts succeed; an evaluation judges at the target alone, which a training may not have reached.
-    ``--from`` begins elsewhere, above the target too.
+    attempts succeed; an evaluation judges only at the target, which a training may not have reached.
+    ``--from`` sets another first obstacle, which may be above the target.
 
-    Prints what it tries, and leaves the evaluation of the highest in ``heights.json`` of the run folder.
+    Prints what it tries, and writes the evaluation of the highest into ``heights.json`` in the run folder.
     """
 
     example = "understudy jumping heights runs/high"
@@ -43,7 +43,7 @@ class Heights(Command):
             type=share,
             default=0.5,
             metavar="SHARE",
-            help="of attempts that must clear it (default: %(default)s)",
+            help="share of attempts that must clear the obstacle (default: %(default)s)",
         )
         parser.add_argument(
             "--step",
@@ -79,7 +79,7 @@ class Heights(Command):
                 runs.open_run(options.run).write_json(FILE, result)
                 print(f"It clears {name} in {rate:.0%} [{low:.0%}, {high:.0%}] of its attempts.")
                 if len(tried) == 1:
-                    print(f"Nothing above was tried: --from {size + 0.5:.2f} does so.")
+                    print(f"Nothing higher was tried; to try more: --from {size + 0.5:.2f}.")
                 return 0
         raise RunError(
             f"{options.run} clears nothing in {options.success:.0%} of its attempts. Train it longer, "

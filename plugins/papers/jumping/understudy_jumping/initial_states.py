@@ -35,12 +35,12 @@ _FARTHEST = 20.0
 class Distance:
     """How far the root is from the obstacle at the take-off, m: near + (far - near) ρ + ahead sin α.
 
-    What is straight in front is reached in half the time of what is beside, hence the last term.
+    An obstacle straight in front is reached in half the time of one beside, hence the last term.
     """
 
-    near: float = 0.8  #: m from the obstacle at ρ = 0
-    far: float = 1.2  #: m from the obstacle at ρ = 1
-    ahead: float = 0.8  #: m, nearer by so much straight in front of the obstacle
+    near: float = 0.8  #: m, distance from the obstacle at ρ = 0
+    far: float = 1.2  #: m, distance from the obstacle at ρ = 1
+    ahead: float = 0.8  #: m by which the distance is greater straight in front of the obstacle
 
     def __post_init__(self) -> None:
         check_range(self, "near", "far", above=0, most=_FARTHEST)
@@ -67,8 +67,10 @@ class Takeoffs(InitialStates):
     class Options:
         #: the first take-off (table 4.3; of obstacle jumps table 4.4)
         takeoff: Takeoff = field(default_factory=Takeoff)
-        others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
-        pose: Literal["plant", "step"] = "plant"  #: the foot's planting, or the step before it
+        #: further take-offs by name, in the order of their names
+        others: Mapping[str, Takeoff] = field(default_factory=dict)
+        #: ``plant``: the pose as the foot is planted; ``step``: the step before it
+        pose: Literal["plant", "step"] = "plant"
         distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
         #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
         noise: float = 0.02

@@ -24,8 +24,9 @@ class Beginnings(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        begin: float = 0.5  #: s; of the curved sprint, when it starts to run
-        end: float = 3.1  #: s; shortly before the take-off
+        #: s, where the clip's part begins: of the curved sprint, when it starts to run
+        begin: float = 0.5
+        end: float = 3.1  #: s, where the clip's part ends: shortly before the take-off
 
         def __post_init__(self) -> None:
             check_range(self, "begin", least=0)
@@ -69,9 +70,10 @@ class Arrival(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        at: float = 3.328  #: s, above 0, in the clip: when the take-off is
-        v_z: float | None = -2.4  #: m/s, v̄_z that is wanted; null: any (eq. 4.13)
-        omega: tuple[float, float, float] = (-3.0, -3.0, 1.0)  #: rad/s, ω̄ that is wanted (eq. 4.12)
+        at: float = 3.328  #: s, above 0: time of the take-off in the clip
+        v_z: float | None = -2.4  #: m/s, v̄_z, the velocity that is wanted; null: any (eq. 4.13)
+        #: rad/s, ω̄, the angular velocity that is wanted (eq. 4.12)
+        omega: tuple[float, float, float] = (-3.0, -3.0, 1.0)
 
         def __post_init__(self) -> None:
             check_range(self, "at", above=0)

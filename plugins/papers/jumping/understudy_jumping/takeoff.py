@@ -31,13 +31,14 @@ _TURNING = 50.0
 class Takeoff:
     """Features of a take-off state; the defaults are the Fosbury flop's of table 4.3."""
 
-    v_z: float = -2.4  #: m/s, of the root to the right; the run bends to the right, and drifts left
-    omega_x: float = -3.0  #: rad/s, of the root about forward
-    #: rad/s, about up; of high jumps always so, turning right as the run does
+    #: m/s, velocity of the root to the right; the run bends to the right, and drifts left
+    v_z: float = -2.4
+    omega_x: float = -3.0  #: rad/s, angular velocity of the root about forward
+    #: rad/s, angular velocity about up; of high jumps always so, turning right as the run does
     omega_y: float = -3.0
-    omega_z: float = 1.0  #: rad/s, about right
-    alpha: float = -0.05  #: rad, of approach: 0 has the obstacle on its left, π/2 in front
-    forward: float = 4.5  #: m/s, of the root; not explored
+    omega_z: float = 1.0  #: rad/s, angular velocity about right
+    alpha: float = -0.05  #: rad, angle of approach: 0 has the obstacle on its left, π/2 in front
+    forward: float = 4.5  #: m/s, velocity of the root forward; searches do not vary it
 
     def __post_init__(self) -> None:
         check_range(self, "forward", least=0, most=_FASTEST)

@@ -40,7 +40,7 @@ class Targets(Actuation):
         #: By joint instead of :data:`RANGES`: (least, most) of each axis, no margin added.
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
         margin: float = 0.5  #: rad, from 0, that targets may lie beyond a joint's range
-        #: rad, by joint; else 0
+        #: rad, targets of joints for an action of 0, by joint; 0 where none is given
         rest: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:

@@ -22,8 +22,7 @@ def landed(landed: Tensor) -> Tensor:
 def spin(
     mean_spin: Tensor,
     *,
-    #: s/rad (eq. 4.15)
-    scale: float = 0.02,
+    scale: float = 0.02,  #: s/rad, factor of the angular velocities (eq. 4.15)
 ) -> Tensor:
     """r_ω = exp(-0.02 ‖ω‖) (eq. 4.15), of the mean of the root's angular speed over the episode."""
     return torch.exp(-scale * mean_spin)

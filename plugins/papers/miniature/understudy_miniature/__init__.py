@@ -1,4 +1,4 @@
-"""Seven small tasks on toy physics, each of the shape of a published system."""
+"""Seven small tasks on toy physics, each built like a published system."""
 
 #: Plugins that this one builds on.
 REQUIRES = (

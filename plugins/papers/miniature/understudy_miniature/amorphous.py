@@ -189,8 +189,8 @@ class ToolTarget(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        reach: float = 0.5  #: m, how far a target may be along each axis
-        stiffness: float = 40.0  #: 1/s², of the spring
+        reach: float = 0.5  #: m, greatest distance of a target along each axis
+        stiffness: float = 40.0  #: 1/s², stiffness of the spring that pulls the tool to its target
 
         def __post_init__(self) -> None:
             check_range(self, "reach", "stiffness", above=0)
@@ -220,8 +220,7 @@ def gathered(
     spread: Tensor,
     previous_spread: Tensor,
     *,
-    #: 1/m: what a metre nearer is worth
-    scale: float = 10.0,
+    scale: float = 10.0,  #: 1/m: reward for each metre that the grains come nearer
 ) -> Tensor:
     """How much nearer the grains came in this decision, times `scale` (1/m); negative if further."""
     return scale * (previous_spread - spread)

@@ -1,6 +1,6 @@
 """A search over whole trainings whose fidelity is the difficulty: random, with warm starts.
 
-What takes the place of the random draws in a real one is a model of the reports.
+A real search has a model of the reports in place of the random draws.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ class RandomFidelity(OuterLoop):
 
     @dataclass(frozen=True)
     class Options:
-        low: Mapping[str, float]  #: by option of the configuration
+        low: Mapping[str, float]  #: by option of the configuration, the least value that is drawn
         #: by option of the configuration, the greatest value that is drawn
         high: Mapping[str, float]
         trials: int = 4  #: how many trainings, from 1
-        fidelities: tuple[float, ...] = (0.2, 1.0)  #: from the first trials to the last
-        margin: float = 0.2  #: of the objective
+        #: shares of the task's difficulty, from the first trials to the last
+        fidelities: tuple[float, ...] = (0.2, 1.0)
+        #: how far below the best a trial's objective may stay without being stopped
+        margin: float = 0.2
 
         def __post_init__(self) -> None:
             check_range(self, "trials", least=1)

@@ -26,8 +26,8 @@ class Bar(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        low: float = 0.1  #: m, at difficulty 0
-        high: float = 0.5  #: m, at difficulty 1
+        low: float = 0.1  #: m, height of the bar at difficulty 0
+        high: float = 0.5  #: m, height of the bar at difficulty 1
 
         def __post_init__(self) -> None:
             check_range(self, "low", most=1e3)
@@ -76,8 +76,8 @@ class Legs(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        strength: float = 90.0  #: N along each axis
-        length: float = 0.15  #: m above the floor at which there is nothing to push against
+        strength: float = 90.0  #: N, largest force along each axis
+        length: float = 0.15  #: m above the floor, from which on there is nothing to push against
 
         def __post_init__(self) -> None:
             check_range(self, "length", most=1e3)

@@ -31,9 +31,9 @@ class PlaneScene(Scene):
     @dataclass(frozen=True)
     class Options:
         bodies: int = 1  #: B, how many points there are, 1 to 1000
-        pushed: int = 1  #: how many, the first ones, are pushed
+        pushed: int = 1  #: how many of the points are pushed: the first ones
         drag: float = 1.0  #: 1/s, from 0: what slows a point, in its velocity
-        gravity: float = 0.0  #: m/s² along the second axis, with a floor at 0
+        gravity: float = 0.0  #: m/s², acceleration down the second axis, which has a floor at 0
         springs: tuple[tuple[int, int], ...] = ()  #: pairs of points tied by springs of no length
         stiffness: float = 40.0  #: N/m, from 0, of each spring
 
@@ -118,11 +118,12 @@ class Somewhere(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        centre: tuple[float, float] = (0.0, 0.0)  #: m, of where points begin
-        spread: tuple[float, float] = (1.0, 1.0)  #: m to each side, at difficulties 0 and 1
-        run_up: float = 0.0  #: m/s, along the first axis
-        speed: float = 0.0  #: m/s added to it along each axis, at most
-        flat: bool = False  #: all at the centre's height
+        centre: tuple[float, float] = (0.0, 0.0)  #: m, middle of the place where points begin
+        #: m from the centre to each side, at difficulties 0 and 1
+        spread: tuple[float, float] = (1.0, 1.0)
+        run_up: float = 0.0  #: m/s, velocity along the first axis at the beginning
+        speed: float = 0.0  #: m/s, at most, that is added to the velocity along each axis
+        flat: bool = False  #: whether all points begin at the centre's height
         drag: tuple[float, float] | None = None  #: 1/s, its range among worlds; null: the scene's
 
         def __post_init__(self) -> None:
@@ -189,7 +190,7 @@ class Place(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        at: tuple[float, float]  #: m, where it is
+        at: tuple[float, float]  #: m, the place
 
         def __post_init__(self) -> None:
             check_range(self, "at", least=-1e3, most=1e3)
@@ -248,7 +249,7 @@ class Force(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        limit: float = 5.0  #: N along each axis
+        limit: float = 5.0  #: N, largest force along each axis
 
         def __post_init__(self) -> None:
             check_range(self, "limit", above=0)
@@ -266,8 +267,7 @@ class Force(Actuation):
 def near(
     distance: Tensor,
     *,
-    #: m, above 0, at which it is 1/e
-    scale: float = 1.0,
+    scale: float = 1.0,  #: m, above 0: the distance at which the reward is 1/e
 ) -> Tensor:
     """exp(-distance / scale): 1 at the target."""
     return torch.exp(-distance / scale)
@@ -277,8 +277,7 @@ def near(
 def slow(
     velocity: Tensor,
     *,
-    #: m/s, above 0, at which it is 1/e
-    scale: float = 1.0,
+    scale: float = 1.0,  #: m/s, above 0: the speed at which the reward is 1/e
 ) -> Tensor:
     """exp(-|velocity| / scale): 1 at rest."""
     return torch.exp(-velocity.norm(dim=1) / scale)

@@ -38,13 +38,13 @@ class Poses(ABC):
 
 
 class Arcs(Poses):
-    """Arcs and waves: every joint bends alike, but for a wave along the arm. Two numbers make one."""
+    """Arcs and waves: every joint bends alike, except for a wave along the arm. Two numbers make a pose."""
 
     @dataclass(frozen=True)
     class Options:
-        joints: int = 8  #: of the arm, from 1
-        bend: float = 2.0  #: rad, of the whole arm, to either side
-        wave: float = 0.5  #: rad, of a joint, to either side
+        joints: int = 8  #: how many joints the arm has, from 1
+        bend: float = 2.0  #: rad, greatest bend of the whole arm, to either side
+        wave: float = 0.5  #: rad, greatest deviation of a joint by the wave, to either side
 
         def __post_init__(self) -> None:
             check_range(self, "joints", least=1, most=1000)
@@ -80,11 +80,11 @@ class LearnPoses(NetworkJob[AutoEncoder]):
 
     @dataclass(frozen=True)
     class Options:
-        code: int = 2  #: L, numbers of the code
+        code: int = 2  #: L, how many numbers the code has
         #: units of the encoder's layers, and in reverse of the decoder's
         hidden: tuple[int, ...] = (32,)
         batch: int = 256  #: poses of an iteration
-        learning_rate: float = 3e-3  #: of gradient descent, above 0
+        learning_rate: float = 3e-3  #: learning rate of gradient descent, above 0
 
         def __post_init__(self) -> None:
             check_range(self, "code", "batch", "hidden", least=1, most=10_000)

@@ -128,7 +128,7 @@ class DecodedPose(Actuation):
         run: str  #: folder of the run that trained the auto-encoder
         code_scale: float = 2.0  #: code for an action of 1, above 0
         offset_scale: float = 0.2  #: rad, above 0: the offset for an action of 1
-        dead: float = 0.1  #: rad, the size of an offset below which it is none
+        dead: float = 0.1  #: rad, size up to which an offset counts as none
 
         def __post_init__(self) -> None:
             check_range(self, "offset_scale", most=100)
@@ -168,8 +168,7 @@ class DecodedPose(Actuation):
 def sparse(
     pose_offset: Tensor,
     *,
-    #: rad, above 0, of a mean offset at which it is 1/e
-    scale: float = 1.0,
+    scale: float = 1.0,  #: rad, above 0: the mean offset at which the reward is 1/e
 ) -> Tensor:
     """exp(-mean |offset| / scale): 1 where the decoded pose is used as it is."""
     return torch.exp(-pose_offset.abs().mean(dim=1) / scale)

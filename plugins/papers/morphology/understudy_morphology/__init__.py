@@ -17,7 +17,7 @@ PARTS = {
         "morphology/helped_torques": ("assistance:HelpedTorques", "torques, and the hand of God"),
     },
     "memory": {
-        "morphology/speed": ("walking:Speed", "how much too slow it has been"),
+        "morphology/speed": ("walking:Speed", "how much too slow the walker has been"),
     },
     "measure": {
         "morphology/normalised": ("walking:normalised", "eq. 6.4, to be summed"),

@@ -34,10 +34,10 @@ class Guidance(Fields):
     @dataclass(frozen=True)
     class Options:
         stiffness: float = 200.0  #: N/m, from 0: kp(0), the whole help
-        ratio: float = 0.75  #: by which help lessens from lesson to lesson, in (0, 1]
-        lessons: int = 3  #: in an episode, from 1
+        ratio: float = 0.75  #: factor of the help from one lesson to the next, in (0, 1]
+        lessons: int = 3  #: how many lessons an episode has, from 1
         lesson_seconds: float = 3.0  #: s, above 0, that each of these lasts
-        velocity: float = 1.0  #: m/s, that the walker should go after the ramp
+        velocity: float = 1.0  #: m/s, velocity that the walker should have after the ramp
         ramp: float = 0.5  #: s, above 0, in which the target velocity rises from 0
 
         def __post_init__(self) -> None:

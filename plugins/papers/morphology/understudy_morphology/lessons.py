@@ -28,22 +28,26 @@ class Lessons(Curriculum):
     each world, whichever is more: short ones end first, and few would be no fair sample.
 
     The training ends when the mean return of a lesson has not increased for ``patience`` iterations:
-    the last one's, or that of one which is not learned.
+    the last lesson's, or that of a lesson which is not learned.
     """
 
     rollout_fields = ("episode_time", "forward_velocity", "target_velocity")
 
     @dataclass(frozen=True)
     class Options:
-        ratio: float = 0.75  #: by which help lessens, in (0, 1) (Yu et al. 2018, section 4.2.2)
-        #: of the first lesson's return, in [0, 1] (Yu et al. 2018, section 4.2.2)
+        #: factor of the help from lesson to lesson, in (0, 1) (Yu et al. 2018, section 4.2.2)
+        ratio: float = 0.75
+        #: share of the first lesson's return at which a lesson is learned, in [0, 1] (Yu et al.
+        #: 2018, section 4.2.2)
         share: float = 0.7
-        #: share of the full help below which it is none, in [0, 1]; 5 of 200 N/m
+        #: share of the full help below which there is none, in [0, 1]; 5 of 200 N/m
         least: float = 0.025
         lasting: float = 6.0  #: s, from 0, that episodes must last on average
-        speed: float = 0.5  #: share of the target velocity
+        speed: float = 0.5  #: share of the target velocity that must be reached, in [0, 1]
         episodes: int = 32  #: how many ended episodes are judged together at least
-        patience: int | None = None  #: iterations; null goes on to the budget
+        #: iterations without a better return after which the training stops; null goes on to the
+        #: budget
+        patience: int | None = None
 
         def __post_init__(self) -> None:
             check_range(self, "ratio", above=0, most=0.99)

@@ -117,9 +117,9 @@ class Worth(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        alive: float = 4.0  #: for each step, from 0
+        alive: float = 4.0  #: reward of each step, from 0
         velocity: float = 3.0  #: s/m, from 0: cost of each m/s off the target velocity
-        energy: float = 0.4  #: of the sum of torques as shares of their limits, from 0
+        energy: float = 0.4  #: weight, from 0, of the sum of torques as shares of their limits
         sideways: float = 3.0  #: 1/m, from 0: cost of each metre to the side
         upright: float = 1.0  #: 1/rad, from 0: cost of leaning and turning away
 

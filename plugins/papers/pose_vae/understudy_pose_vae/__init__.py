@@ -14,7 +14,7 @@ PARTS = {
         "pose_vae/offset": ("actuation:PoseOffset", "decoded pose plus offset"),
     },
     "reward": {
-        "pose_vae/naturalness": ("terms:naturalness", "with small offsets"),
+        "pose_vae/naturalness": ("terms:naturalness", "the offsets are small"),
     },
     "measure": {
         "pose_vae/distance": ("terms:PoseDistance", "degrees to the nearest pose of a run's clips"),
@@ -26,7 +26,7 @@ PARTS = {
         "pose_vae naturalness": ("natural:Naturalness", "how near runs are to captured poses"),
     },
     "report_section": {
-        "pose_vae/poses": ("report:PosesSection", "poses that it makes"),
+        "pose_vae/poses": ("report:PosesSection", "poses that an auto-encoder makes"),
     },
 }
 

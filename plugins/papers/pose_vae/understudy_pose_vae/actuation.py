@@ -33,11 +33,13 @@ class PoseOffset(Actuation):
     class Options:
         run: str  #: folder of the run that trained the auto-encoder
         latent_scale: float = 1.0  #: standard deviations of the codes, for one unit of the action
-        offset_scale: float = 2.0  #: rad, for one unit of the action; the authors' release has 2
-        offset_limit: float | None = None  #: rad, of ‖a_offset‖₁
-        #: rad, of targets, by joint: (least, most) of each axis; unlimited where it is not given.
+        #: rad, offset for one unit of the action; the authors' release has 2
+        offset_scale: float = 2.0
+        offset_limit: float | None = None  #: rad, greatest ‖a_offset‖₁; null sets no limit
+        #: rad, ranges of the targets by joint: (least, most) of each axis; a joint that is not
+        #: given has no limit
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
-        #: rad, of the joints themselves, likewise; unlimited where it is not given.
+        #: rad, ranges of the joints themselves, likewise; a joint that is not given has no limit
         limits: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:

@@ -79,8 +79,8 @@ def _clips(named: Sequence[str], registry: Registry, reading: ReadOptions) -> It
                 yield library.find(name, registry, reading)
             except FileError as error:
                 raise FileError(
-                    f"job.clips: {error} A folder of them is one here, or in $UNDERSTUDY_DATA/motions, "
-                    "and there is none of this name; experiment=pose_vae/generated needs no clips."
+                    f"job.clips: {error} Nor is there a folder of this name, here or in $UNDERSTUDY_DATA/motions; "
+                    "experiment=pose_vae/generated needs no clips."
                 ) from error
             continue
         endings = {s for reader in readers(registry).values() for s in reader.suffixes}

@@ -84,21 +84,23 @@ class LearnPoses(NetworkJob[PoseVAE]):
     class Options:
         #: Folders of clips, clip files, names of generated clips, or names in $UNDERSTUDY_DATA/motions.
         clips: tuple[str, ...]
-        character: str = "humanoid"  #: whose joints and lengths the poses have
-        #: whether every pose is learned from left to right, too
-        #: learn mirror images too; with them the authors' clips are 20 230 poses
+        character: str = "humanoid"  #: the character whose joints and lengths the poses have
+        #: whether each pose's mirror image is learned, too; with them the authors' clips are 20 230
+        #: poses
         mirror: bool = True
         held_out: float = 0.1  #: share of the clips that only evaluations see
-        latent: int | None = 13  #: L; null takes as many as principal components cover ``coverage``
+        #: L, how many numbers the code has; null takes as many as principal components cover
+        #: ``coverage``
+        latent: int | None = 13
         coverage: float = 0.85  #: share of the poses' variance that ``latent=null`` has to cover
         #: units of the encoder's layers, and in reverse of the decoder's (section 4.4)
         hidden: tuple[int, ...] = (256, 256)
         beta: float = 1e-5  #: weight of the KL divergence (section 4.4), from 0
         batch: int = 128  #: poses of an optimiser step, from 1
-        learning_rate: float = 1e-4  #: of Adam, above 0 (section 4.4)
-        unit: Unit | None = None  #: of lengths, where a clip file does not say
-        up: Axis | None = None  #: the vertical axis, where a clip file does not say
-        rate: float | None = None  #: frames per second, where a clip file does not say
+        learning_rate: float = 1e-4  #: learning rate of Adam, above 0 (section 4.4)
+        unit: Unit | None = None  #: unit of lengths, where a clip file does not give it
+        up: Axis | None = None  #: the vertical axis, where a clip file does not give it
+        rate: float | None = None  #: frames per second, where a clip file does not give them
 
         def __post_init__(self) -> None:
             check_range(self, "latent", "batch", "hidden", least=1, most=10_000)

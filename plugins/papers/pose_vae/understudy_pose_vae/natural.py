@@ -15,14 +15,14 @@ FILE = "naturalness.json"
 
 
 class Naturalness(Command):
-    """Judges runs of a character by how far its poses are from captured ones, and by its jerk."""
+    """Judges runs by how far the character's poses are from captured ones, and by its jerk."""
 
     example = "understudy pose_vae naturalness runs/poses runs/walk runs/walk_with_poses"
 
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("poses", help="run folder that trained a pose auto-encoder")
+        parser.add_argument("poses", help="folder of the run that trained a pose auto-encoder")
         # overrides behind them are taken by this one, too
         parser.add_argument(
             "run", nargs="+", help="run folder of any task on a character, or a skill"

@@ -24,8 +24,7 @@ def naturalness(
     offset_norm: Tensor,
     offset_limit: Tensor | None = None,
     *,
-    #: rad, c_offset where no curriculum gives it (section 4.6.1)
-    limit: float = 48.0,
+    limit: float = 48.0,  #: rad, c_offset, used where no curriculum gives it (section 4.6.1)
 ) -> Tensor:
     """r_naturalness = 1 - clip((‖a_offset‖₁ / c_offset)², 0, 1) (eq. 4.3).
 

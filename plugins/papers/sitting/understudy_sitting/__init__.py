@@ -47,10 +47,10 @@ PARTS = {
     },
     "memory": {
         "sitting/target_ahead": ("targets:TargetAhead", "a place to walk to, drawn anew"),
-        "sitting/descent": ("manner:Descent", "how it sat down: falls, slides, squats"),
+        "sitting/descent": ("manner:Descent", "how the figure sat down: falls, slides, squats"),
     },
     "learner": {
-        "sitting/after_clip": ("cloning:AfterClip", "the clip's own servo targets, told"),
+        "sitting/after_clip": ("cloning:AfterClip", "imitates the clip's own servo targets"),
     },
     "reward": {
         "sitting/pose": ("terms:pose", "joint angles are the reference's, eq. 3"),
@@ -78,14 +78,14 @@ PARTS = {
         "sitting trials": ("trials:Trials", "judge a controller that sits down over many trials"),
         "sitting kinematics": ("kinematics:Kinematics", "how near a played clip comes to the seat"),
         "sitting room": ("room_command:SitInRoom", "a controller sits down in a room in a picture"),
-        "sitting follow": ("follow:Follow", "the figure walks to where one clicks in the browser"),
+        "sitting follow": ("follow:Follow", "the figure walks to where you click in the browser"),
     },
     "report_section": {
         "sitting/trials": ("trials:TransitionsSection", "success by zone, order of skills"),
     },
     "initial_states": {
         "sitting/from_reference": ("initial_states:FromReference", "the reference, a chair behind"),
-        "sitting/where_others_ended": ("initial_states:WhereOthersEnded", "where others ended"),
+        "sitting/where_others_ended": ("initial_states:WhereOthersEnded", "where skills ended"),
         "sitting/around_chair": ("initial_states:AroundChair", "around the chair, by zones"),
     },
 }

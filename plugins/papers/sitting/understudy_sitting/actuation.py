@@ -37,9 +37,11 @@ class AroundClip(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        #: rad that an action of 1 is at least, for joints that the clip keeps still
+        #: rad, least unit of the action: what an action of 1 is for joints that the clip keeps
+        #: still
         least: float = 0.15
-        lag: float | None = None  #: s, the time constant; null follows at once
+        #: s, time constant with which targets follow the action; null follows at once
+        lag: float | None = None
 
         def __post_init__(self) -> None:
             check_range(self, "least", most=100)

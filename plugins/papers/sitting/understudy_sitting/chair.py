@@ -37,16 +37,16 @@ _COLOUR = (0.72, 0.52, 0.34, 1.0)
 class ChairOptions:
     """Sizes in m. A chair of a mesh takes its seat from ``seat_height``, ``width`` and ``depth``."""
 
-    seat_height: float = 0.45  #: of the seat's surface above the floor
-    width: float = 0.46  #: of the seat, along y
-    depth: float = 0.42  #: of the seat, along x
-    back: float | None = 0.45  #: height of the back above the seat; null for none
-    arms: float | None = None  #: height of the arm rests above the seat; null for none
-    legs: bool = True  #: four legs; false leaves a seat that floats
+    seat_height: float = 0.45  #: m, height of the seat's surface above the floor
+    width: float = 0.46  #: m, width of the seat, along y
+    depth: float = 0.42  #: m, depth of the seat, along x
+    back: float | None = 0.45  #: m, height of the back above the seat; null for none
+    arms: float | None = None  #: m, height of the arm rests above the seat; null for none
+    legs: bool = True  #: whether the chair has four legs; without them the seat floats
     #: path of an OBJ, STL, PLY or glTF file with z up, on the floor, facing x
     mesh: str | None = None
-    mesh_scale: float = 1.0  #: of its lengths, to m
-    friction: float = 1.0  #: sliding, of MuJoCo's contacts
+    mesh_scale: float = 1.0  #: factor of the mesh's lengths that makes them m
+    friction: float = 1.0  #: coefficient of sliding friction, as MuJoCo's contacts have it
     pelvis: str = "root"  #: the figure's link that sits
 
     def __post_init__(self) -> None:

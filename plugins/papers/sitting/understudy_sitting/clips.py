@@ -14,12 +14,9 @@ from understudy_tensors import rotations
 
 def generated_step_back(
     *,
-    #: m/s backwards, up to 3
-    speed: float = 0.6,
-    #: seconds per two steps, from 0.4 to 3
-    cycle: float = 1.2,
-    #: frames/s of the clip, from 10 to 1000
-    frame_rate: float = 60.0,
+    speed: float = 0.6,  #: m/s, speed backwards, up to 3
+    cycle: float = 1.2,  #: s that two steps take, from 0.4 to 3
+    frame_rate: float = 60.0,  #: frame rate of the clip, in frames/s, from 10 to 1000
 ) -> Clip:
     """One gait cycle backwards along -x: the generated walk in reverse.
 
@@ -49,10 +46,8 @@ def generated_step_back(
 
 def generated_whole(
     *,
-    #: m above the floor, from 0.35 to 0.55
-    seat_height: float = 0.45,
-    #: frames/s of the clip, from 10 to 1000
-    frame_rate: float = 60.0,
+    seat_height: float = 0.45,  #: m, height of the seat above the floor, from 0.35 to 0.55
+    frame_rate: float = 60.0,  #: frame rate of the clip, in frames/s, from 10 to 1000
 ) -> Clip:
     """Two steps ahead, half a turn to the left, and sitting down: the reference of the baselines that have
     no skills (section 7). Where one part passes into the next the pose is blended over 0.3 s.

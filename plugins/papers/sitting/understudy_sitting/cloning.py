@@ -1,7 +1,7 @@
 """A skill that learns to give its servos the clip's own targets, from what it sees and without a clock.
 
-Played blindly, from its first frame on, the targets of a clip may already carry the figure through it, as those of the generated
-``sit`` do. A reward hints at them by way of where they lead; here the policy is told them, in the states to which it comes itself
+Played open loop, from the first frame on, the targets of a clip may already carry the figure through it, as those of the generated
+``sit`` do. A reward only hints at the targets, by where they lead; here the policy is told them, in the states that it reaches itself
 (dataset aggregation: Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret
 online learning", 2011).
 """
@@ -32,11 +32,11 @@ class AfterClip(Learner):
     @dataclass(frozen=True)
     class Options:
         rollout_steps: int = 16  #: T, steps per world and iteration
-        keep: int = 40  #: of how many of the newest iterations it learns
-        steps: int = 48  #: of the optimiser in an iteration
+        keep: int = 40  #: how many of the newest iterations it learns from
+        steps: int = 48  #: optimiser steps in an iteration
         batch_size: int = 1024  #: samples of an optimiser step, from 1
-        learning_rate: float = 1e-3  #: of Adam, above 0
-        least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
+        learning_rate: float = 1e-3  #: learning rate of Adam, above 0
+        least: float = 0.15  #: rad, least unit of the action, as in ``sitting/around_clip``
 
         def __post_init__(self) -> None:
             check_range(self, "least", most=100)

@@ -1,4 +1,4 @@
-"""``understudy sitting follow``: the figure goes where one clicks, by the skills walk and turn."""
+"""``understudy sitting follow``: the figure goes where the visitor clicks, by the skills walk and turn."""
 
 from __future__ import annotations
 
@@ -91,15 +91,15 @@ class Follow(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "runs", nargs="*", metavar="RUN", default=_SKILLS,
-            help="of walk, and of turn_left and turn_right: run folders or skills (default: %(default)s)",
+            help="the run folders or skills of walk, and of turn_left and turn_right (default: %(default)s)",
         )  # fmt: skip
         parser.add_argument(
             "--video",
             metavar="FILE",
             type=video_file,
-            help="write a video (.mp4) of a square instead",
+            help="write a video (.mp4) of a walk along a square instead of opening a page",
         )
-        parser.add_argument("--seconds", type=length, help=f"of the video ({_SECONDS:g})")
+        parser.add_argument("--seconds", type=length, help=f"length of the video ({_SECONDS:g})")
         add_page_arguments(parser)
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
@@ -109,7 +109,7 @@ class Follow(Command):
         _count(options.runs)
         if options.video is None:
             if options.seconds is not None:
-                raise ConfigError("--seconds is of a video. Add --video FILE, or leave it out.")
+                raise ConfigError("--seconds is for videos. Add --video FILE, or leave it out.")
             return serve(lambda: Follower(options.runs), options)
         return self._film(options)
 

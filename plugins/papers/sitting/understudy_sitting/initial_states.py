@@ -31,9 +31,15 @@ class Chairs:
     """Chairs of other sizes, uniformly drawn for each episode, m; null leaves the chair's own. They
     must have no mesh."""
 
-    seat_height: Range | None = None  #: m above the floor, within 0.2 to 1
-    width: Range | None = None  #: m of the seat from side to side, within 0.2 to 1
-    depth: Range | None = None  #: m of the seat from front to back, within 0.2 to 1
+    #: m above the floor, (least, greatest) height of the seat, within 0.2 to 1; null: the chair's
+    #: own
+    seat_height: Range | None = None
+    #: m, (least, greatest) width of the seat from side to side, within 0.2 to 1; null: the chair's
+    #: own
+    width: Range | None = None
+    #: m, (least, greatest) depth of the seat from front to back, within 0.2 to 1; null: the chair's
+    #: own
+    depth: Range | None = None
 
     def __post_init__(self) -> None:
         for name in ("seat_height", "width", "depth"):
@@ -261,11 +267,14 @@ class AtChair:
 
     #: banks of states, or the folders of runs that have one; none: no such episodes
     banks: tuple[str, ...] = ()
-    share: float = 0.25  #: of the training episodes; evaluations have none
-    #: m before the seat's middle; the clip of sitting begins 0.45 m from it
+    #: share of the training episodes that begin near the chair; evaluations have none
+    share: float = 0.25
+    #: m, (least, greatest) distance before the seat's middle; the clip of sitting begins 0.45 m
+    #: from it
     ahead: Range = (0.4, 0.9)
-    aside: float = 0.2  #: m, from 0, off the seat's middle, to each side
-    degrees: float = 180.0  #: off the direction in which the chair faces, to each side
+    aside: float = 0.2  #: m, from 0: greatest distance to each side of the seat's middle
+    #: degrees, greatest turn to each side of the direction in which the chair faces
+    degrees: float = 180.0
 
     def __post_init__(self) -> None:
         check_range(self, "ahead", "aside", most=10)

@@ -1,6 +1,6 @@
-"""How one sits down, beside whether: does it drop, where does it land, do its feet stay.
+"""How the figure sits down, beside whether it sits: whether it drops, where it lands, and whether its feet stay.
 
-Success counts who sits; who jumps onto the edge and pulls the feet up sits, too.
+Success counts every figure that sits; one that jumps onto the edge and pulls its feet up sits, too.
 """
 
 from __future__ import annotations
@@ -151,7 +151,8 @@ class Descent(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        low: float = 0.72  #: m of the pelvis above the floor, which stands at 0.88 m
+        #: m above the floor: a pelvis that is lower, and off the seat, squats; it stands at 0.88 m
+        low: float = 0.72
 
         def __post_init__(self) -> None:
             check_range(self, "low", above=0, most=1e3)
@@ -200,8 +201,7 @@ def planted(
     feet_speed: Tensor,
     feet_down: Tensor,
     *,
-    #: s²/m², of the foot's squared speed
-    scale: float = 30.0,
+    scale: float = 30.0,  #: s²/m², factor of the foot's squared speed
 ) -> Tensor:
     """Mean over the feet of exp(-scale v²), v its speed along the floor in m/s; 0 of a foot that does not touch it."""
     return (feet_down * torch.exp(-scale * feet_speed.square())).mean(1)
@@ -211,10 +211,8 @@ def planted(
 def unhurried(
     pelvis_fall: Tensor,
     *,
-    #: m/s downwards that cost nothing
-    most: float = 0.6,
-    #: s²/m², of the square of what is above that
-    scale: float = 10.0,
+    most: float = 0.6,  #: m/s, greatest speed downwards that costs nothing
+    scale: float = 10.0,  #: s²/m², factor of the square of the speed above that
 ) -> Tensor:
     """exp(-scale max(0, v - most)²), v the pelvis' speed downwards."""
     return torch.exp(-scale * (pelvis_fall - most).clamp(min=0.0).square())
@@ -222,12 +220,12 @@ def unhurried(
 
 class Servos:
     """exp(-alpha m), m the mean square over the servos by which the action differs from the clip's own targets, in the
-    units of ``sitting/around_clip``: where these alone already move the figure as the clip does, they are worth having."""
+    units of ``sitting/around_clip``. It is of use where these targets alone already move the figure as the clip does."""
 
     @dataclass(frozen=True)
     class Options:
-        alpha: float = 2.0  #: of an action of 1 squared
-        least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
+        alpha: float = 2.0  #: factor of the mean squared difference, in units of the action
+        least: float = 0.15  #: rad, least unit of the action, as in ``sitting/around_clip``
 
         def __post_init__(self) -> None:
             check_range(self, "least", most=100)

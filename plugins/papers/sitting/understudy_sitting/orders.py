@@ -17,16 +17,16 @@ class InOrder(Actuation):
     """The controllers of finished runs, one after the other: a^switch says whether to go on to the next
     ("the meta controller is only used to trigger transitions", section 7). The last one stays.
 
-    As ``controllers``, it keeps the ``goal`` of the action and the ``switch`` to whose turn it is.
+    Like ``controllers``, it keeps the action's ``goal``, and in ``switch`` the number of the controller whose turn it is.
     """
 
     every = "period"
 
     @dataclass(frozen=True)
     class Options:
-        runs: tuple[str, ...]  #: run folders, in order
+        runs: tuple[str, ...]  #: run folders or skills, in the order of their numbers
         goal: int = 2  #: how many numbers a goal has
-        scale: float = 1.0  #: of the goal: its unit for one of the action's
+        scale: float = 1.0  #: goal, in its own unit, for an action of 1
 
         def __post_init__(self) -> None:
             check_range(self, "goal", least=1)

@@ -34,11 +34,16 @@ class SitInRoom(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
         add("run", help="a finished run's folder, or a skill")
-        add("video", type=video_file, metavar="OUT", help="such as room.mp4")
-        add("--scene", type=Path, default=EXAMPLE, help="a JSON of boxes and a camera")
-        add("--chair", type=int, default=0, help="which of its chairs, from 0")
-        add("--plan", action="store_true", help="draw it from above")
-        add("--trials", type=int, default=64, help="of which a success is shown, if there is one")
+        add("video", type=video_file, metavar="OUT", help="the video to write, such as room.mp4")
+        add("--scene", type=Path, default=EXAMPLE, help="a JSON file with boxes and a camera")
+        add("--chair", type=int, default=0, help="which of the scene's chairs, from 0")
+        add("--plan", action="store_true", help="draw the room from above")
+        add(
+            "--trials",
+            type=int,
+            default=64,
+            help="how many trials are made; a success among them is shown, if there is one",
+        )
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.video

@@ -246,12 +246,13 @@ class Seat(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        #: degrees from the vertical; null: lying across the seat counts
+        #: degrees, greatest lean of the torso from the vertical; null: lying across the seat counts
         upright: float | None = 45.0
-        #: degrees from where the chair faces; null: any direction counts
+        #: degrees, greatest turn from where the chair faces; null: any direction counts
         facing: float | None = 60.0
-        #: m from the seat's middle to the pelvis, which is 0.1 to 0.2 m from it when sitting; null: edges are seats, too.
-        #: Who sits as the clip does, at the front, needs more on seats deeper than 0.6 m.
+        #: m, greatest distance from the seat's middle to the pelvis, which is 0.1 to 0.2 m from it
+        #: when sitting; null: the seat's edges count, too. A figure that sits as the clip does, at
+        #: the front, needs more on seats deeper than 0.6 m.
         within: float | None = 0.25
 
         def __post_init__(self) -> None:
@@ -319,8 +320,8 @@ class State(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        goal: bool = False  #: the 2 numbers of the walking target
-        chair: bool = False  #: the 7 numbers of the chair
+        goal: bool = False  #: whether the 2 numbers of the walking target are observed
+        chair: bool = False  #: whether the 7 numbers of the chair are observed
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "encoder 'sitting/state'")

@@ -25,10 +25,11 @@ class TargetAhead(Memory):
     @dataclass(frozen=True)
     class Options:
         every: float = 2.5  #: s, above 0, after which a new target is drawn
-        within: float = 0.3  #: m, at which it is reached
+        within: float = 0.3  #: m, distance at which the target is reached
         near: float = 1.5  #: m, above 0, the nearest target
         far: float = 4.0  #: m, the farthest target; above ``near``
-        degrees: float = 60.0  #: 0 to 180, off straight ahead, to each side
+        #: degrees, 0 to 180: greatest angle of a target off straight ahead, to each side
+        degrees: float = 60.0
 
         def __post_init__(self) -> None:
             check_range(self, "within", "near", most=1e3)
@@ -77,7 +78,8 @@ class TargetByChair(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        ahead: float = 0.0  #: m: where a policy that has learned nothing walks to
+        #: m in front of the seat: where a policy that has learned nothing walks to
+        ahead: float = 0.0
 
         def __post_init__(self) -> None:
             check_range(self, "ahead", least=-1e3, most=1e3)

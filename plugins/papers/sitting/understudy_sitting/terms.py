@@ -20,8 +20,7 @@ def pose(
     joint_coordinates: Tensor,
     reference_joint_coordinates: Tensor,
     *,
-    #: α^p, 1/rad² (eq. 3)
-    alpha: float = 1.0,
+    alpha: float = 1.0,  #: α^p, 1/rad²: factor of the squared angles (eq. 3)
 ) -> Tensor:
     """r^p = exp(-α^p Σ_j d(q_j, q̂_j)²) (eq. 3), d the angular difference."""
     away = wrapped(joint_coordinates - reference_joint_coordinates)
@@ -33,8 +32,7 @@ def velocity(
     joint_velocities: Tensor,
     reference_joint_velocities: Tensor,
     *,
-    #: α^v, s²/rad² (eq. 3)
-    alpha: float = 10.0,
+    alpha: float = 10.0,  #: α^v, s²/rad²: factor of the squared velocities (eq. 3)
 ) -> Tensor:
     """r^v = exp(-α^v Σ_j (q̇_j - q̇̂_j)²) (eq. 3)."""
     return torch.exp(-alpha * (joint_velocities - reference_joint_velocities).square().sum(dim=1))
@@ -46,8 +44,7 @@ def steering(
     reference_torso_velocity: Tensor,
     difficulty: Tensor | None = None,
     *,
-    #: s²/m², of the squared difference of velocities (eq. 4)
-    scale: float = 10.0,
+    scale: float = 10.0,  #: s²/m², factor of the squared difference of velocities (eq. 4)
     #: difficulty from which on it no longer counts; null is never
     until: float | None = None,
 ) -> Tensor:
@@ -69,7 +66,7 @@ class Approach:
 
     @dataclass(frozen=True)
     class Options:
-        scale: float = 10.0  #: s/m, above 0, of V^walk (eq. 5)
+        scale: float = 10.0  #: s/m, above 0: factor of V^walk (eq. 5)
         since: float | None = None  #: difficulty from which on it counts; null is always
 
         def __post_init__(self) -> None:
@@ -110,8 +107,7 @@ def turning(
     torso_angles: Tensor,
     reference_torso_angles: Tensor,
     *,
-    #: 1/rad², of the summed squared angles (eq. 6)
-    scale: float = 10.0,
+    scale: float = 10.0,  #: 1/rad², factor of the summed squared angles (eq. 6)
 ) -> Tensor:
     """exp(-10 Σ_i d(θ_i, θ̂_i)²) (eq. 6, weight 0.1), θ the torso's pitch, yaw and roll."""
     away = wrapped(torso_angles - reference_torso_angles)
@@ -135,7 +131,7 @@ class SitDown:
 
     @dataclass(frozen=True)
     class Options:
-        seated: float = 1.0  #: reward of a decision that ends so
+        seated: float = 1.0  #: reward of a decision that ends seated
         nearing: float = 0.5  #: s/m: what coming nearer by 1 m/s is worth (eq. 8)
 
         def __post_init__(self) -> None:
@@ -155,8 +151,7 @@ class SitDown:
 def low(
     torso_position: Tensor,
     *,
-    #: m of the torso above the floor (section 6)
-    height: float = 0.78,
+    height: float = 0.78,  #: m above the floor, least height of the torso (section 6)
 ) -> Tensor:
     """The torso is lower than `height` m (section 6: 0.78 for walk and turn, 0.54 for sit)."""
     return torso_position[:, 2] < height
@@ -167,8 +162,7 @@ def off_course(
     torso_angles: Tensor,
     reference_torso_angles: Tensor,
     *,
-    #: of yaw (section 6)
-    degrees: float = 45.0,
+    degrees: float = 45.0,  #: degrees, greatest difference of yaw (section 6)
 ) -> Tensor:
     """The torso's yaw differs from the reference's by more than `degrees` (section 6, turn)."""
     away = wrapped(torso_angles[:, 1] - reference_torso_angles[:, 1])

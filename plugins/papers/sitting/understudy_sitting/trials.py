@@ -69,10 +69,12 @@ class Trials(Command):
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run", help="a finished run's folder, or a skill")
-        parser.add_argument("--trials", type=int, default=10_000, help="how many; all at once")
+        parser.add_argument(
+            "--trials", type=int, default=10_000, help="how many trials are made, all at once"
+        )
         parser.add_argument(
             "--film", action="store_true",
-            help="film a success of each zone and the commonest failure, of 64 trials more, for the report",
+            help="film a success of each zone and the commonest failure, out of 64 further trials, for the report",
         )  # fmt: skip
 
     def run(self, options: argparse.Namespace) -> int:

@@ -26,15 +26,15 @@ PARTS = {
         "spacetime/end_effector_bound": ("bounds:EndEffectorBound", "hands and feet"),
     },
     "fields": {
-        "spacetime/alignment": ("alignment:Alignment", "the frame in which the two are compared"),
+        "spacetime/alignment": ("alignment:Alignment", "the frame of comparison"),
     },
     "reward": {
         "spacetime/survival": ("rewards:survival", "1 within the bounds, else 0"),
     },
     "measure": {
         "spacetime/within_all_bounds": ("rewards:within_all_bounds", "1 in all bounds, no fall"),
-        "spacetime/com_deviation": ("rewards:com_deviation", "from the reference's centre of mass"),
-        "spacetime/joint_deviation": ("rewards:joint_deviation", "the farthest joint's, in rad"),
+        "spacetime/com_deviation": ("rewards:com_deviation", "distance of the centres of mass"),
+        "spacetime/joint_deviation": ("rewards:joint_deviation", "the farthest joint's angle, rad"),
     },
     "encoder": {
         "spacetime/state": ("encoders:StateEncoder", "character, phase, root error"),
@@ -45,14 +45,14 @@ PARTS = {
     },
     "initial_states": {
         "spacetime/importance": ("importance:Importance", "more where returns are low"),
-        "spacetime/evolution": ("evolution:Evolution", "elite states of past rollouts"),
+        "spacetime/evolution": ("evolution:Evolution", "states drawn from past rollouts"),
         "spacetime/clip_start": ("clip_starts:ClipStart", "the clip's beginning"),
         "spacetime/phases": ("clip_starts:Phases", "a part of the clip"),
         "spacetime/flyable": ("clip_starts:Flyable", "any time from which it can be flown"),
         "spacetime/evolved": ("evolution:Evolved", "another run's evolved initial states"),
     },
     "curriculum": {
-        "spacetime/adaptive_bounds": ("adaptive:AdaptiveBounds", "tighter where it is mastered"),
+        "spacetime/adaptive_bounds": ("adaptive:AdaptiveBounds", "tighter where well learned"),
     },
     "character": {
         "revolute": ("revolute:build_revolute", "a robot of hinges, 58 kg"),

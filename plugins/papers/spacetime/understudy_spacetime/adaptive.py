@@ -29,8 +29,10 @@ class AdaptiveBounds(Curriculum):
     @dataclass(frozen=True)
     class Options:
         widest: float = 2.0  #: how many times as large bounds may be, from 1
-        segments: int = 20  #: of the motion, from 1
-        fail_rate: float = 0.02  #: of decisions; 0.02 is an episode of 1.7 s at 30 Hz
+        segments: int = 20  #: how many segments the motion has, from 1
+        #: share of decisions that end in a failure, below which a segment's bounds tighten; 0.02 is
+        #: an episode of 1.7 s at 30 Hz
+        fail_rate: float = 0.02
         rate: float = 0.02  #: share by which a rollout changes a segment's bounds
 
         def __post_init__(self) -> None:

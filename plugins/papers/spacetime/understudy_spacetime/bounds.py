@@ -75,7 +75,7 @@ class ComBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.2  #: m, from 0, or [[phase, m], …] (section 3.5.1)
+        size: Size = 0.2  #: greatest distance, m, from 0, or [[phase, m], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/com_bound", context.device)
@@ -103,7 +103,7 @@ class RootBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.7  #: rad, from 0, or [[phase, rad], …] (section 3.5.1)
+        size: Size = 0.7  #: greatest angle, rad, from 0, or [[phase, rad], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/root_bound", context.device)
@@ -131,7 +131,7 @@ class JointBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.7  #: rad, from 0, or [[phase, rad], …] (section 3.5.1)
+        size: Size = 0.7  #: greatest angle, rad, from 0, or [[phase, rad], …] (section 3.5.1)
         joints: tuple[str, ...] = ()  #: bounded joints; empty bounds all
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -175,7 +175,7 @@ class EndEffectorBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.5  #: m, from 0, or [[phase, m], …] (section 3.5.1)
+        size: Size = 0.5  #: greatest distance, m, from 0, or [[phase, m], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/end_effector_bound", context.device)

@@ -18,7 +18,7 @@ from understudy_motion.section import Motion
 
 
 class ClipStart(InitialStates):
-    """The clip's beginning, where one would begin to perform the skill.
+    """The clip's beginning, where a performance of the skill would begin.
 
     Episodes begin within the first `window` s, so that they differ.
     """
@@ -27,7 +27,8 @@ class ClipStart(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        window: float = 0.1  #: s; 0 begins at the first frame always
+        #: s from the clip's beginning within which episodes begin; 0: always at the first frame
+        window: float = 0.1
 
         def __post_init__(self) -> None:
             check_range(self, "window", least=0)
@@ -70,7 +71,7 @@ class Flyable(InitialStates):
     """Any time of the clip, except those from which a body that is let go, in the clip's state and at the height
     that training uses, lands outside the bounds (:func:`~understudy_characters.letting_go.let_go`).
 
-    From most of those, nobody can follow the clip. The run's page says how many there are.
+    From most of the excepted times, no policy can follow the clip. The run's page says how many there are.
     """
 
     episode_fields = EPISODE_FIELDS
@@ -81,8 +82,8 @@ class Flyable(InitialStates):
         times = torch.from_numpy(found.times[~found.bad]).float()
         if not len(times):
             raise ConfigError(
-                "initial_states 'spacetime/flyable': whoever begins in this clip lands beside it, wherever it "
-                "begins. Repair the clip (understudy motion check CLIP --fix OUT)."
+                "initial_states 'spacetime/flyable': from no start in this clip does a body that is let go land within "
+                "the bounds. Repair the clip (understudy motion check CLIP --fix OUT)."
             )
         self._times = times.to(context.device)
         self._apart = self._reference.duration / len(found.times)

@@ -69,11 +69,13 @@ class Evolution(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        segments: int = 20  #: of the motion, from 1, each with a buffer
-        size: int = 32  #: m, states per buffer
+        segments: int = 20  #: how many segments the motion has, from 1, each with a buffer
+        size: int = 32  #: how many states a buffer holds, from 1 (m of eq. 3.10)
         uniform: float = 0.2  #: share of segments drawn uniformly (eq. 3.9)
-        decay: float = 0.9  #: of the running average of returns, per rollout, in [0, 1]
-        by: By = "visits"  #: as of :class:`~understudy_spacetime.importance.Importance`
+        #: factor of the running average of returns from rollout to rollout, in [0, 1]
+        decay: float = 0.9
+        #: whose returns count, as in :class:`~understudy_spacetime.importance.Importance`
+        by: By = "visits"
         #: Share of episodes that begin in the reference itself.
         reference_share: float = 0.1
         #: ``low`` prefers states of low return, as eq. 3.10 is printed; ``high`` the opposite.

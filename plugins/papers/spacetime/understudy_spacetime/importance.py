@@ -22,9 +22,10 @@ class Importance(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        segments: int = 20  #: n of eq. 3.9: segments of the motion, from 1
+        segments: int = 20  #: n of eq. 3.9: how many segments the motion has, from 1
         uniform: float = 0.2  #: u of eq. 3.9, in [0, 1]: the share that is drawn evenly
-        decay: float = 0.9  #: of the running average of returns, per rollout
+        #: factor of the running average of returns from rollout to rollout, in [0, 1]
+        decay: float = 0.9
         #: whose returns are w: of all states in a segment, or of those where episodes begin
         by: By = "visits"
 

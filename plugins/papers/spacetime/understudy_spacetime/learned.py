@@ -25,8 +25,8 @@ from understudy_tensors.rotations import angle_between
 
 
 class Learned(Command):
-    """Writes the cycle of a run's recorded motion that closes best, as a clip that loops: what a poor
-    reference becomes once physics has had its say. It can be learned from in its place."""
+    """Writes the cycle of a run's recorded motion that closes best, as a clip that loops: what physics has made of a
+    poor reference. Other trainings can learn from it instead of the reference."""
 
     example = "understudy motion learned runs/spacetime-walk-001 repaired.npz"
 

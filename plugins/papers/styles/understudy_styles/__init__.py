@@ -10,7 +10,7 @@ PARTS = {
     "fields": {
         "styles/energy": ("energy:KineticEnergy", "kinetic energy about the com"),
         "styles/volume": ("volume:HullVolume", "volume of the convex hull"),
-        "styles/accelerations": ("regularity:Accelerations", "of links, and of joints"),
+        "styles/accelerations": ("regularity:Accelerations", "accelerations of links and joints"),
         "styles/features": ("features:MotionFeatures", "a frame of a motion"),
         "styles/gram": ("gram:GramDistance", "how far a cycle's style is from a clip's"),
     },

@@ -68,12 +68,12 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
     @dataclass(frozen=True)
     class Options:
         clips: tuple[str, ...]  #: names of generated clips, or clip files
-        window: int = 32  #: K, frames of a window, from 2
+        window: int = 32  #: K, how many frames a window has, from 2
         channels: int = 64  #: C, how many features a frame has
-        width: int = 9  #: frames of the convolution; 0.3 s at 30 Hz
-        batch: int = 64  #: windows of an optimiser step, from 1
-        learning_rate: float = 1e-3  #: of Adam, above 0
-        noise: float = 0.1  #: standard deviations of the input
+        width: int = 9  #: frames that the convolution spans; 0.3 s at 30 Hz
+        batch: int = 64  #: windows in an optimiser step, from 1
+        learning_rate: float = 1e-3  #: learning rate of Adam, above 0
+        noise: float = 0.1  #: noise that is added to the input, in its standard deviations
 
         def __post_init__(self) -> None:
             check_range(self, "window", least=2, most=10_000)

@@ -68,8 +68,8 @@ def clip_features(clip: Clip, scene: CharacterScene, dt: float, least: int) -> T
         frames = max(frames, least) + least
     if frames < least:
         raise RunError(
-            f"Clip {clip.source} has {frames} frames at {1 / dt:g} Hz, and a window of {least} is to fit "
-            "into it. Leave it out, or make windows shorter (job.window)."
+            f"Clip {clip.source} has {frames} frames at {1 / dt:g} Hz, and a window has {least}. "
+            "Leave the clip out, or make windows shorter (job.window)."
         )
     reference = ReferenceMotion(clip, scene.character, scene.layout, control_dt=dt)
     found = reference.sample(torch.arange(frames) * dt)

@@ -24,7 +24,7 @@ class GramDistance(Fields):
     """``gram_distance`` (N,) = ‖G_s - G‖ / ‖G_s - G_r‖: G is the Gram matrix of the features of the last
     frames, G_s that of the style's clip, G_r that of the clip that the task refers to.
 
-    So 1 is as far from the style as the reference is, and 0 is the style. ``feature_history`` (K, D) holds
+    So 1 means as far from the style as the reference is, and 0 means in the style. ``feature_history`` (K, D) holds
     the frames, the newest first (the memory ``history`` of ``motion_features``); the paper's K is a cycle.
     """
 
@@ -35,7 +35,7 @@ class GramDistance(Fields):
     class Options:
         run: str  #: the folder of a trained auto-encoder (experiment=styles/autoencoder)
         style: str  #: the clip whose style is meant, by name or file
-        frames: int = 24  #: K, of the clips' windows; as many as the history has
+        frames: int = 24  #: K, how many frames the clips' windows have; as many as the history has
 
         def __post_init__(self) -> None:
             check_range(self, "frames", least=2, most=10_000)

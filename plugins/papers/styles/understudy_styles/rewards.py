@@ -12,10 +12,8 @@ from understudy_tensors.limits import limits
 def low_energy(
     kinetic_energy: Tensor,
     *,
-    #: E_min, J (section 3.5.3)
-    least: float = 20.0,
-    #: E_max, J (section 3.5.3)
-    most: float = 100.0,
+    least: float = 20.0,  #: E_min, J: energy up to which the reward is 1 (section 3.5.3)
+    most: float = 100.0,  #: E_max, J: energy from which on the reward is 0 (section 3.5.3)
 ) -> Tensor:
     """clamp((E_max - E) / (E_max - E_min), 0, 1), of E (N,) J (eq. 3.4; section 3.5.3)."""
     return ((most - kinetic_energy) / (most - least)).clamp(0.0, 1.0)
@@ -25,10 +23,8 @@ def low_energy(
 def high_energy(
     kinetic_energy: Tensor,
     *,
-    #: E_min, J (section 3.5.3)
-    least: float = 20.0,
-    #: E_max, J (section 3.5.3)
-    most: float = 100.0,
+    least: float = 20.0,  #: E_min, J: energy up to which the reward is 0 (section 3.5.3)
+    most: float = 100.0,  #: E_max, J: energy from which on the reward is 1 (section 3.5.3)
 ) -> Tensor:
     """clamp((E - E_min) / (E_max - E_min), 0, 1), of E (N,) J (eq. 3.4; section 3.5.3)."""
     return ((kinetic_energy - least) / (most - least)).clamp(0.0, 1.0)
@@ -38,8 +34,7 @@ def high_energy(
 def small_volume(
     hull_volume: Tensor,
     *,
-    #: α, m³ (section 3.5.3)
-    scale: float = 0.12,
+    scale: float = 0.12,  #: α, m³: volume at which the reward is 1/e (section 3.5.3)
 ) -> Tensor:
     """exp(-V / α), of V (N,) m³ (eq. 3.5; section 3.5.3)."""
     return torch.exp(-hull_volume / scale)
@@ -49,8 +44,7 @@ def small_volume(
 def large_volume(
     hull_volume: Tensor,
     *,
-    #: α, m³ (section 3.5.3)
-    scale: float = 0.12,
+    scale: float = 0.12,  #: α, m³: volume at which the reward is 1 - 1/e (section 3.5.3)
 ) -> Tensor:
     """1 - exp(-V / α), of V (N,) m³ (eq. 3.5; section 3.5.3)."""
     return 1.0 - torch.exp(-hull_volume / scale)

@@ -115,23 +115,23 @@ class Describe(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "part",
-            help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk; a kind or a plugin alone lists its parts; with --observations, --columns or --fields a run folder, too",
+            help="what to describe: KIND/NAME, such as learner/ppo or experiment/spacetime/walk; a kind or a plugin alone lists its parts; --observations, --columns and --fields also take a run folder",
         )
         asked = parser.add_mutually_exclusive_group()
         asked.add_argument(
             "--fields",
             action="store_true",
-            help="of a task, an experiment or a run, as KEY=VALUE changes it: the state fields that its parts can read, with their shapes",
+            help="list the state fields, with their shapes, that parts of a task, an experiment or a run can read; KEY=VALUE changes it",
         )
         asked.add_argument(
             "--observations",
             action="store_true",
-            help="of a task, an experiment or a run, as KEY=VALUE changes it: its observations, how large each is, and what reads it",
+            help="list the observations of a task, an experiment or a run, how large each is, and what reads it; KEY=VALUE changes it",
         )
         asked.add_argument(
             "--columns",
             action="store_true",
-            help="as --observations, and what each of their columns is",
+            help="the same, and what each column of an observation is",
         )
 
     def run(self, options: argparse.Namespace) -> int:

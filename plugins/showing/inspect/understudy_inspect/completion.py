@@ -62,10 +62,10 @@ class Completion(Command):
         parser.add_argument(
             "shell",
             choices=[*_SCRIPTS, "words"],
-            help="whose script is printed; `words` is what such scripts call",
+            help="the shell whose script is printed; `words` is what such scripts call",
         )
         parser.add_argument(
-            "line", nargs="?", default="", help="of `words`: the line up to the cursor"
+            "line", nargs="?", default="", help="for `words`: the line up to the cursor"
         )
 
     def run(self, options: argparse.Namespace) -> int:

@@ -74,7 +74,7 @@ def describe(name: str, plugins: Plugins) -> str:
     owner, _, option = name.rpartition(".")  # as it is typed to set it: budget.samples
     if option and (owner in typed or _group(owner, plugins) is not None):
         raise ConfigError(
-            f"'{name}' is no part. Options stand with what they are of: `understudy describe {owner}`."
+            f"'{name}' is no part. An option is described with what it belongs to: `understudy describe {owner}`."
         )
     if kind in registry.kinds:
         if not rest:
@@ -158,7 +158,7 @@ def _built(
         experiment = load_experiment([f"{group}={rest}", *overrides, "device=cpu"], plugins)
     else:
         raise ConfigError(
-            f"{option} is of a task, an experiment or a run folder, and {name} is none: write task/spacetime/walk, say."
+            f"{option} takes a task, an experiment or a run folder, and {name} is none: write task/spacetime/walk, say."
         )
     built = build_environment(experiment, num_worlds=1)
     try:
@@ -177,7 +177,7 @@ def _readers(experiment: Experiment, built: Built) -> dict[str, str]:
 
 
 def names(plugins: Plugins) -> list[str]:
-    """All that :func:`describe` knows, as one types it."""
+    """All that :func:`describe` knows, as it is typed."""
     kinds = {kind for kind, _ in plugins.registry.components} | {"experiment", "task"}
     files = {f"{kind}/{offer.name}" for kind in kinds for offer in offers(plugins, kind)}
     parts = {f"{kind}/{name}" for kind, name in plugins.registry.components if kind != "command"}

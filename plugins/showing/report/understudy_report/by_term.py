@@ -22,7 +22,7 @@ class ByTerm:
         self._rows.append(row)
 
     def lines(self, width: int) -> list[str]:
-        """At most `width` characters each, where names allow it; none of a job that has neither rewards nor episodes."""
+        """At most `width` characters each, where names allow it; no lines for a job that has neither rewards nor episodes."""
         return [*self._rewards(width), *self._endings(width)]
 
     def summary(self, width: int) -> list[str]:

@@ -47,9 +47,9 @@ class ListRuns(Command):
             "folder",
             nargs="*",
             type=Path,
-            help="where to look, with the folders in it (runs)",
+            help="where to look for runs, folders within included (runs)",
         )
-        parser.add_argument("--json", action="store_true", help="for programs: JSON")
+        parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
     def run(self, options: argparse.Namespace) -> int:
         folders = options.folder or [Path("runs")]

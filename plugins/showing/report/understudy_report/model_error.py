@@ -13,8 +13,8 @@ PREFIX = "model_error/"
 
 
 class ModelError(ReportSection):
-    """A table of the last time that it was looked at, by body and by decisions ahead, and how the mean
-    over the bodies went."""
+    """A table of the errors when they were last measured, by body and by decisions ahead, and a curve of the mean
+    over the bodies."""
 
     title = "The learned model's error"
     order = 65

@@ -26,7 +26,9 @@ LONGEST = 3600.0
 def video_file(text: str) -> Path:
     """An argument's type: the file of a video, whose name says so to whatever is to show it."""
     if Path(text).suffix.lower() != ".mp4":
-        raise argparse.ArgumentTypeError(f"{text} is no video's name: call it as walk.mp4")
+        raise argparse.ArgumentTypeError(
+            f"{text} is no video's name: give one that ends in .mp4, such as walk.mp4"
+        )
     return Path(text)
 
 

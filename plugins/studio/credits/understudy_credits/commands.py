@@ -18,7 +18,7 @@ _WHAT = "a run folder, a packed skill (.json), or a skill that comes with a plug
 
 
 class Cite(Command):
-    """Prints BibTeX of the code, the papers whose parts the run used, and its clips."""
+    """Prints BibTeX for the code, for the papers whose parts the run used, and for its clips."""
 
     example = "understudy cite runs/spacetime-walk-001 > refs.bib"
 
@@ -83,8 +83,8 @@ def _citations(info: object) -> list[str]:
 
 
 class Licence(Command):
-    """Lists all that a run was made of with its licence, and what stands in the way of a use; ends with 1 if
-    something does. A reading aid, and no legal advice."""
+    """Lists everything that a run was made of, with its licence, and what stands in the way of a use; the exit status
+    is 1 if something does. A reading aid, and no legal advice."""
 
     example = "understudy licence runs/spacetime-walk-001 --for commercial"
 
@@ -95,9 +95,11 @@ class Licence(Command):
             dest="purpose",
             choices=PURPOSES,
             default="commercial",
-            help="what it is to be used for (%(default)s)",
+            help="the use that is meant (%(default)s)",
         )
-        parser.add_argument("--json", action="store_true", help="as it travels in exported files")
+        parser.add_argument(
+            "--json", action="store_true", help="print JSON, as exported files carry it"
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         made = open_made(options.run)

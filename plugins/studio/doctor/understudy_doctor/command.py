@@ -34,7 +34,7 @@ DEFAULT_CHARACTER = "humanoid"
 
 
 class Check(Command):
-    """Examines a clip, or what was learned; exit status 1 if something is majorly wrong with it."""
+    """Examines a clip, or a learned motion; the exit status is 1 if there is a major finding."""
 
     example = "understudy motion check walk.npz --loop --fix cycle.npz"
 
@@ -45,15 +45,18 @@ class Check(Command):
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="a character, or an MJCF file, that is to move so; by default the run's own, or the "
+            help="the character, or MJCF file, that is to move like the clip; by default the run's own, or the "
             f"{DEFAULT_CHARACTER}, if the clip has its joints",
         )
         parser.add_argument("--json", action="store_true", help="print the findings as JSON")
         parser.add_argument(
-            "--page", type=Path, metavar="OUT.html", help="write them as a page with pictures"
+            "--page",
+            type=Path,
+            metavar="OUT.html",
+            help="write the findings as a page with pictures",
         )
         parser.add_argument(
-            "--fix", type=Path, metavar="OUT", help="write the clip repaired, as far as it can be"
+            "--fix", type=Path, metavar="OUT", help="write the clip, repaired as far as possible"
         )
         parser.add_argument(
             "--loop", action="store_true", help="with --fix: cut out the best loop and close it"
@@ -62,7 +65,7 @@ class Check(Command):
             "--floor",
             choices=typing.get_args(Floor),
             default="lowest",
-            help="how training is to put it on the floor (motion.floor), which says where flights land",
+            help="how training will put the clip on the floor (motion.floor); this decides where flights land",
         )
         add_reading(parser, loop=False)
 

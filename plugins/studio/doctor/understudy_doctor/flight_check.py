@@ -34,7 +34,7 @@ def check_flights(measured: Measurements, gone: LettingGo) -> Iterator[Finding]:
         worst, turn = float(gone.away[here].max()), float(gone.turned[here].max())
         yield places.finding(
             "flight", Severity.MINOR,
-            f"{bad[here].sum()} of {len(bad)} starts: whoever begins here in the clip's own state lands up to "
+            f"{bad[here].sum()} of {len(bad)} starts: a body that begins here in the clip's own state lands up to "
             f"{worst:.2f} m and {turn:.1f} rad beside it, whatever the muscles do",
             (int(frames[first]), int(frames[last])), max(worst / ASTRAY, turn / TURNED), "bounds",
             "--fix OUT puts flights on parabolas; or let no episode begin here.",

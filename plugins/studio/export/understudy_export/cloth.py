@@ -74,7 +74,7 @@ def write_cloth(
     frames = len(cloth[shown])
     if not 2 <= frames <= MOST:
         raise FileError(
-            f"{file}: {frames} frames at {1 / (dt * step):g} Hz cannot be written, 2 to {MOST} can: change --rate or "
+            f"{file}: {frames} frames at {1 / (dt * step):g} Hz cannot be written, only 2 to {MOST} frames: change --rate or "
             "--seconds."
         )
     tools: list[tuple[Tool, np.ndarray, np.ndarray]] = []

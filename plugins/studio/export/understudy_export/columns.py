@@ -32,7 +32,7 @@ from understudy_motion.readers.angles import RATE
 
 
 class ExportColumns(Command):
-    """Writes a clip as a table in the order of columns of another trainer."""
+    """Writes a clip as a table whose columns are in the order that another trainer reads."""
 
     example = "understudy motion export walk.npz robot.xml walk.csv --for mjlab"
 

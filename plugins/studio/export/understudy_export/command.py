@@ -54,9 +54,9 @@ GAMMA = 2.2
 
 
 class Export(Command):
-    """Writes the learned motion of a run, its policy, or a clip as a file; its ending says of which format.
+    """Writes the learned motion of a run, its policy, or a clip as a file; the file's ending says in which format.
 
-    Of a run .glb and .gltf files also have what stands around the figure.
+    For a run, .glb and .gltf files also have what stands around the figure.
     """
 
     example = "understudy export runs/spacetime-walk-001 walk.glb"
@@ -73,17 +73,17 @@ class Export(Command):
             "plays what was recorded in a browser",
         )
         parser.add_argument(
-            "--reference", action="store_true", help="the motion that the run learned from"
+            "--reference", action="store_true", help="write the motion that the run learned from"
         )
         parser.add_argument(
             "--beside",
             action="store_true",
-            help="the run's reference too, to the left of what it learned (.glb, .gltf)",
+            help="also write the run's reference, to the left of what it learned (.glb, .gltf)",
         )
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="whose shapes are shown: a character, an MJCF file, or none for bones; by default "
+            help="the figure that is written: a character, an MJCF file, or none for bones; by default "
             "the run's, or the one that the clip fits",
         )
         parser.add_argument("--rate", type=positive, metavar="HZ", help="frames per second")
@@ -91,9 +91,11 @@ class Export(Command):
         length.add_argument(
             "--seconds",
             type=positive,
-            help="how much from the beginning; a looping clip goes on as long as that",
+            help="write this many seconds from the beginning; a looping clip goes on for as long",
         )
-        length.add_argument("--cycles", type=_count, help="how many cycles of a looping clip")
+        length.add_argument(
+            "--cycles", type=_count, help="write this many cycles of a looping clip"
+        )
         add_reading(parser)
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
@@ -168,7 +170,7 @@ def _refuse_options(options: argparse.Namespace, why: str, but: Sequence[str] = 
     for name in (one for one in OF_MOTIONS if one not in but):
         if getattr(options, name) not in (None, False):
             raise ConfigError(
-                f"--{name.replace('_', '-')} is of motions, and {options.destination} {why}: leave it out."
+                f"--{name.replace('_', '-')} is for motions, and {options.destination} {why}: leave it out."
             )
 
 
@@ -177,7 +179,7 @@ def _check_format(destination: Path, registry: Registry) -> None:
         writer_of(destination, registry)
     except FileError as error:
         raise FileError(
-            f"{error} Of a run also {ONNX}, its policy, and {PAGES[0]}, a page that plays it."
+            f"{error} A run can also be written as {ONNX}, its policy, and {PAGES[0]}, a page that plays it."
         ) from error
 
 

@@ -32,7 +32,7 @@ def write_page(source: str, path: Path, made: str | None = None) -> str:
     if figures is None or not player:
         raise FileError(
             f"{run.path} has no recording to play: `understudy render {run.path}` makes one, if its task has a figure of "
-            "links; of cloth, grains and points, report.html shows the video, and of cloth an export to .glb each frame."
+            "links; for cloth, grains and points, report.html shows the video, and for cloth an export to .glb each frame."
         )
     licence, attribution = in_a_line(open_made(made or source))
     said = f"Licence: {licence}. " if licence else ""  # of a motion of nobody's clip and no model

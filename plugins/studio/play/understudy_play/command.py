@@ -58,11 +58,14 @@ class Play(Command):
             "skill",
             metavar="SKILL",
             nargs="?",
-            help="a skill that comes with the package, a packed one (.json), or the folder of a run; "
-            "without it, those that come with the package are listed",
+            help="a skill that comes with the package, a packed skill (.json), or the folder of a run; "
+            "without SKILL, the skills that come with the package are listed",
         )
         parser.add_argument(
-            "--video", metavar="FILE", type=video_file, help="write a video (.mp4) instead"
+            "--video",
+            metavar="FILE",
+            type=video_file,
+            help="write a video (.mp4) instead of opening a page",
         )
         parser.add_argument("--seconds", type=length, help=f"length of the video ({_SECONDS:g})")
         parser.add_argument(
@@ -77,7 +80,7 @@ class Play(Command):
         )
         parser.add_argument(
             "--bits", type=int, choices=BITS,
-            help="bits of a packed weight, whatever is lost (by default 8, or more where fewer lose something)",
+            help="bits of a packed weight, whatever success they cost (by default 8, or more where 8 cost success)",
         )  # fmt: skip
         parser.add_argument(
             "--unpack", metavar="FOLDER", type=Path,
@@ -99,11 +102,11 @@ class Play(Command):
     def run(self, options: argparse.Namespace) -> int:
         for option in ("seconds", "push"):
             if getattr(options, option) is not None and options.video is None:
-                raise ConfigError(f"--{option} is of a video. Add --video FILE, or leave it out.")
+                raise ConfigError(f"--{option} is for videos. Add --video FILE, or leave it out.")
         asked = [o for o in ("video", "pack", "unpack", "follow") if getattr(options, o)]
         if options.skill is None and asked:
             raise ConfigError(
-                f"--{asked[0]} of which skill? `understudy play` alone lists those that there are."
+                f"--{asked[0]} needs a skill. Name one; `understudy play` alone lists them."
             )
         if options.skill is None:
             for name in names():
@@ -115,10 +118,10 @@ class Play(Command):
         if options.follow and (options.video or options.pack or options.unpack):
             raise ConfigError("--follow shows a page. Leave out --video, --pack and --unpack.")
         if options.bits is not None and options.pack is None:
-            raise ConfigError("--bits is of a packed weight. Add --pack FILE, or leave it out.")
+            raise ConfigError("--bits is for packed weights. Add --pack FILE, or leave it out.")
         if options.follow and not (Path(options.skill) / "run.json").is_file():
             raise ConfigError(
-                f"--follow takes the folder of a run, as runs/spacetime-walk-001, and {options.skill} is none."
+                f"--follow takes the folder of a run, such as runs/spacetime-walk-001, and {options.skill} is none."
             )
         if options.pack is options.unpack is None:
             refuse_of_trainings(options.overrides, "what is played")

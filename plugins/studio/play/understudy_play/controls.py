@@ -1,4 +1,4 @@
-"""What pages have on which a world goes on by itself: pause, start again, how fast."""
+"""The controls of pages on which a world runs by itself: pause, restart, speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page has of a run beside its newest policy: the policies of its checkpoints, and its curves."""
+"""What a page shows of a run beside its newest policy: the policies of its checkpoints, and its curves."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _SMALL = "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
 
 
 class Following:
-    """Of the run in the folder `path`, whose policy `player` plays: a slider over its checkpoints, which
-    stays at the newest until it is moved, and curves by reward term and bound. With `growing`, the folder is
-    looked into again and again, as one of a training that goes on.
+    """For the run in the folder `path`, whose policy `player` plays: a slider over its checkpoints, which
+    stays at the newest until it is moved, and curves by reward term and by what ended episodes. With `growing`, the folder
+    is read again and again, since its training still runs.
     """
 
     def __init__(self, player: Player, path: str, *, growing: bool) -> None:

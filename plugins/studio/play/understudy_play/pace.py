@@ -1,4 +1,4 @@
-"""Real time, for whoever shows what is simulated."""
+"""Real time, for pages that show what is simulated."""
 
 from __future__ import annotations
 

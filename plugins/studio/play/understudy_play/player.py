@@ -31,10 +31,10 @@ _DOWN = 0.35
 
 @runtime_checkable
 class Leads(Protocol):
-    """A memory by which whoever watches leads a body of the scene to a place; from then on an episode goes on where it would
-    have succeeded."""
+    """A memory by which the visitor leads a body of the scene to a place; from then on, an episode continues where it would
+    have ended in success."""
 
-    target: tuple[float, float] | None  #: m: where it shall go; None before anybody leads
+    target: tuple[float, float] | None  #: m: where it should go; None before anybody leads
     refused: str  #: why it cannot, in a sentence; empty where it can
     keeps: Mapping[str, Shape]  #: a memory's
 

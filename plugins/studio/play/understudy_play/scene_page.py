@@ -1,4 +1,4 @@
-"""The page on which a policy acts in any other MuJoCo scene: its geoms where they are, and the means to wait."""
+"""The page on which a policy acts in any other MuJoCo scene: it draws the scene's geoms, and has the means to wait."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from understudy_retarget.retarget import Options, Report, retarget
 
 
 class Retarget(Command):
-    """Puts a motion on a character, its feet on the floor, and says how well that went."""
+    """Transfers a motion to a character, with its feet on the floor, and reports how well the result fits."""
 
     example = "understudy motion retarget walk robot.xml robot_walk.npz"
 
@@ -43,7 +43,7 @@ class Retarget(Command):
             action="extend",
             default=[],
             metavar="JOINT=JOINT",
-            help="the character's joint, or a part of the body, and the clip's joint for it, such as "
+            help="for a joint of the character, or a part of the body, the clip's joint that it follows, such as "
             "left_knee=LeftLeg",
         )
         parser.add_argument(
@@ -52,8 +52,12 @@ class Retarget(Command):
             metavar="S",
             help="multiply travel and height by this, instead of by the ratio of the legs",
         )
-        parser.add_argument("--start", type=float, metavar="S", help="leave out what is before, s")
-        parser.add_argument("--end", type=float, metavar="S", help="leave out what is after, s")
+        parser.add_argument(
+            "--start", type=float, metavar="S", help="leave out what is before this time, s"
+        )
+        parser.add_argument(
+            "--end", type=float, metavar="S", help="leave out what is after this time, s"
+        )
         parser.add_argument("--json", action="store_true", help="print the report as JSON")
         add_reading(parser)
 

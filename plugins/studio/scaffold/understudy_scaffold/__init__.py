@@ -1,4 +1,4 @@
-"""``understudy new``: a package of one's own to begin with."""
+"""``understudy new``: a package of your own to begin with."""
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()

@@ -29,8 +29,8 @@ PARTS = ("reward", "observation")
 
 
 class NewPlugin(Command):
-    """Writes a distribution with two rewards and an observation, or with one of these alone, their tests, README and entry
-    point, and says what comes next."""
+    """Writes a distribution with two rewards and an observation, or with only one of these, with tests, README and entry
+    point, and prints what to do next."""
 
     example = "understudy new plugin balance"
 
@@ -39,7 +39,7 @@ class NewPlugin(Command):
         parser.add_argument(
             "--only",
             choices=PARTS,
-            help="what to begin with: rewards (a function and a class) or an observation; else both",
+            help="what the package begins with: rewards (a function and a class) or an observation; both by default",
         )
 
     def run(self, options: argparse.Namespace) -> int:
@@ -47,7 +47,7 @@ class NewPlugin(Command):
 
 
 class NewPaper(Command):
-    """Writes what `new plugin` does, with an experiment, the paper's page and a table to reproduce."""
+    """Writes what `new plugin` writes, and an experiment, the paper's page and a table to reproduce."""
 
     example = "understudy new paper hopping"
 
@@ -59,8 +59,8 @@ class NewPaper(Command):
 
 
 def _where(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", help="of the plugin: a word, as in `juggling`")
-    parser.add_argument("--folder", type=Path, help="where to write (understudy-NAME)")
+    parser.add_argument("name", help="the plugin's name: one word, such as `juggling`")
+    parser.add_argument("--folder", type=Path, help="the folder to write (understudy-NAME)")
 
 
 def _begin(options: argparse.Namespace, parts: Sequence[str], *more: str) -> int:
@@ -138,8 +138,8 @@ def checked_name(name: str) -> str:
     for plugin in installed().loaded:
         if plugin.name == name:
             raise ConfigError(
-                f"There is a plugin '{name}' already, of {plugin.distribution}. Use another name, or take "
-                f"that away: pip uninstall {plugin.distribution}."
+                f"There is a plugin '{name}' already, of {plugin.distribution}. Use another name, or remove "
+                f"that plugin: pip uninstall {plugin.distribution}."
                 if plugin.distribution != "understudy"
                 else f"There is a plugin '{name}' already. Use another name."
             )

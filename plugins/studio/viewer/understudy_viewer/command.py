@@ -29,12 +29,12 @@ class View(Command):
             "motion beside its reference",
         )
         parser.add_argument(
-            "other", metavar="OTHER", nargs="?", help="another one, to be shown beside the first"
+            "other", metavar="OTHER", nargs="?", help="another source, shown beside the first"
         )
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="whose shapes are shown: a character or an MJCF file; by default the run's, or the "
+            help="the figure that is shown: a character or an MJCF file; by default the run's, or the "
             "one that fits the clip",
         )
         parser.add_argument(

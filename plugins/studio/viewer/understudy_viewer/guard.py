@@ -1,5 +1,5 @@
-"""Who may talk to a page: browsers that were led to it, not pages of others that they have open; as many of
-them as like to, who come and go. And what they may say: what the page asks for, and nothing else."""
+"""Who may talk to a page, and what they may say: any number of browsers that opened it, but not other sites' pages that
+these browsers have open, too; what the page asks for, and nothing else."""
 
 from __future__ import annotations
 
