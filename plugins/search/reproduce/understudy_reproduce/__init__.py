@@ -1,7 +1,7 @@
 """One command for every table of a paper, and the card that it leaves."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("report", "sweeps")
+REQUIRES = ("report", "sweeps", "training")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
