@@ -138,10 +138,20 @@ def test_constant_curve(tmp_path: Path, value: float) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1]", '"x"', '{"success_rate": "x"}', "\xff"])
-def test_damaged_evaluation(tmp_path: Path, content: str) -> None:
+def test_damaged_evaluation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    """What cannot be read counted as absent without a word; it is said once, however many read it."""
+    run = make_run(tmp_path)
+    page, _ = report(run)
+    assert "cannot be read" not in capsys.readouterr().err, "there is none"
     (tmp_path / "evaluation.json").write_text(content, encoding="latin-1")
-    page, _ = report(make_run(tmp_path))
+    page, _ = report(run)
     assert "Nothing has been learned yet." in page.text
+    said = capsys.readouterr().err.count(
+        "evaluation.json cannot be read, so the run counts as not judged"
+    )
+    assert said == (0 if content.startswith("{") and content != "{" else 1)
 
 
 @pytest.mark.parametrize("value", [None, 3, "x", ["x"], {"x": 1}])

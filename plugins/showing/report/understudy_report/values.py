@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from understudy.command.command import tell
 from understudy.folders import read
 from understudy.records.runs import Run
 
@@ -15,11 +18,24 @@ Row = Mapping[str, Any]
 
 
 def read_evaluation(run: Run) -> Row:
-    """The last evaluation; empty if there is none or it cannot be read."""
+    """The last evaluation; empty if there is none, and, which is said once, if it cannot be read."""
+    file = run.path / "evaluation.json"
     try:
-        return mapping(json.loads(read(run.path / "evaluation.json")))
-    except (OSError, ValueError, RecursionError):
+        found = json.loads(read(file))
+    except FileNotFoundError:
         return {}
+    except (OSError, ValueError, RecursionError):
+        found = None
+    if not isinstance(found, Mapping):
+        _say_unreadable(file)
+    return mapping(found)
+
+
+@functools.cache
+def _say_unreadable(file: Path) -> None:
+    tell(
+        f"{file} cannot be read, so the run counts as not judged. `understudy evaluate` judges it anew."
+    )
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
