@@ -344,4 +344,6 @@ def test_other_commands_say_how_a_run_becomes_a_clip(
         assert f"`understudy export {source} FILE.npz` makes one" in capsys.readouterr().err
     assert cli.main(["motion", "check", str(tmp_path)]) == 2
     assert "is a folder, and neither a clip nor a run" in capsys.readouterr().err
+    assert cli.main(["motion", "retarget", "", "humanoid", str(out)]) == 2
+    assert "'' names no clip, as of an empty variable" in capsys.readouterr().err
     assert not out.exists()

@@ -162,3 +162,9 @@ def test_a_policy_of_another_run_is_not_packed(built_on: Path) -> None:
     own = {**opened.card, "config": {**config, "actuation": {"stages": [{"run": run}]}}}
     with pytest.raises(ConfigError, match=r"actuation\.stages\.0\.run="):
         skill.refuse_of_others(dataclasses.replace(opened, card=own))
+
+
+def test_nothing_names_no_run() -> None:
+    """An empty variable named the working folder."""
+    with pytest.raises(RunError, match="'' names no run, as of an empty variable"):
+        run_folder("")

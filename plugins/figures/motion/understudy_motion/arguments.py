@@ -44,6 +44,8 @@ def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> C
     FileError
         as :func:`library.find`, and for a run folder or a skill, which are no clips.
     """
+    if not source:
+        raise FileError("'' names no clip, as of an empty variable. Give a file or a clip's name.")
     if source in registry.names("skill") or (Path(source) / "run.json").is_file():
         raise FileError(
             f"{source} was learned, and a clip is wanted: `understudy export {source} FILE.npz` makes one of it."

@@ -37,8 +37,10 @@ def run_folder(source: str, *, recorded: bool = False, registry: Registry | None
     Raises
     ------
     UnderstudyError
-        the skill is damaged, needs what is not here, or its folder cannot be written.
+        nothing is named; or the skill is damaged, needs what is not here, or its folder cannot be written.
     """
+    if not source:
+        raise RunError("'' names no run, as of an empty variable. Name one, as runs/NAME.")
     registry = registry or installed().registry
     if Path(source).is_dir() or (packed := _packed(source, registry)) is None:
         return source
