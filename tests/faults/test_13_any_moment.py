@@ -216,26 +216,6 @@ def test_what_a_library_makes_of_it(
     )
 
 
-#: A signal comes while a library executes text, as to make a dataclass. Python notes that it was not caught in there.
-_EXECUTED = """
-import signal, sys
-from understudy.command import cli
-cli._run = lambda words: exec("signal.raise_signal(signal.Signals[words[0]])")
-sys.exit(cli.main())
-"""
-
-
-@pytest.mark.parametrize("number", StopRequest.SIGNALS)
-def test_the_status_is_ours_wherever_it_came(number: signal.Signals, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(_EXECUTED)
-    command = [sys.executable, "-m", "mine", number.name]
-    ended = subprocess.run(
-        command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True
-    )
-    assert ended.returncode == 75, "as one that Ctrl-C killed"
-    assert ended.stderr == f"understudy: Stopped by {number.name}. Give the same command again.\n"
-
-
 class Gone:
     """Standard error of a terminal that was closed."""
 

@@ -51,7 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 sys.stdout.flush()  # here, where an error can still be reported
             return status
         except (Exception, KeyboardInterrupt) as error:
-            exec("")  # else `python -m` ends as one killed by Ctrl-C if it came within an `exec`
             if stop.received is not None and not isinstance(error, PreemptedError):
                 name = signal.Signals(stop.received).name  # whatever error a library made of it
                 error = PreemptedError(f"Stopped by {name}. {stop.advice}")

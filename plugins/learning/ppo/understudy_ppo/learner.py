@@ -197,7 +197,7 @@ class PPO(Learner):
             "actor_learning_rate": self._adapt_rate(kl),
             "skipped_steps": options.epochs * self._steps - taken,
         } | self._adapt_penalty(batch)
-        self._updates += 1
+        self._updates += taken > 0
         return row
 
     @property
