@@ -47,7 +47,7 @@ TINY = (
     "learner.rollout_steps=32",
     "evaluation.episodes=2",
     "evaluation.final_episodes=2",
-    "evaluation.seconds=0.2",
+    "evaluation.seconds=0.5",  # a decision of sitting's controller
 )
 
 #: Parts whose batches are larger than such an iteration.

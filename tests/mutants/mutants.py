@@ -368,7 +368,7 @@ MUTANTS = (
            "tests/plugins/networks/test_optimisers.py -k moments"),
     Mutant("squares below 0 are loaded", OPTIMISERS, "value.isfinite() & (value >= least)", "value.isfinite()",
            "tests/plugins/networks/test_optimisers.py -k moments"),
-    Mutant("a rate below 0 is loaded", PPO, "if state[name] < 0:", "if False:",
+    Mutant("a rate below 0 is loaded", PPO, "if (value := state.get(name, updates)) < 0:", "if (value := 1) < 0:",
            "tests/plugins/ppo/test_learner.py -k below_0"),
     Mutant("a variance below 0 is loaded", "plugins/learning/networks/understudy_networks/nn.py",
            "if not all(bool((value >= 0).all()) for value in (self.variance, self.count)):", "if False:",

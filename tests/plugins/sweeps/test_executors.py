@@ -279,7 +279,8 @@ def test_what_a_terminal_sent_while_a_trial_begins_does_not_end_it(
     """Between the fork, where it is blocked, and the session of its own; what comes later is heard."""
     code = (
         "import os, signal; from understudy_sweeps.processes import _leave_the_terminal\n"
-        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # tests may run under nohup, or in the background
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})\n"
         f"os.kill(os.getpid(), {number.value}); _leave_the_terminal(); print('begins', flush=True)\n"
         f"os.kill(os.getpid(), {number.value}); signal.pause()"
