@@ -9,6 +9,7 @@ import argparse
 
 from understudy.command.cli import main
 from understudy.command.command import Command
+from understudy.signals import StopRequest
 
 
 class Train(Command):
@@ -23,7 +24,8 @@ class Train(Command):
     def run(self, options: argparse.Namespace) -> int:
         if not options.overrides:
             return main(["experiments"])
-        from understudy_training.workflow import train
+        with StopRequest():  # a signal would abort what is being imported
+            from understudy_training.workflow import train
 
         return train(options.overrides)
 
@@ -38,6 +40,7 @@ class Resume(Command):
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
-        from understudy_training.workflow import resume
+        with StopRequest():
+            from understudy_training.workflow import resume
 
         return resume(options.run, options.overrides)
