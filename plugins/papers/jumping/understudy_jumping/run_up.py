@@ -56,17 +56,26 @@ class OffsetTargets(Actuation):
 
 
 class Arrival(Fields):
-    """The take-off at the end of a run-up, and how near its features are to what is wanted.
+    """The take-off at the end of a run-up, and how near it is to what is wanted.
 
     - ``arrived`` () bool: the clip's time of take-off has come
     - ``runup_features`` (4,): v_z m/s, ω_x, ω_y, ω_z rad/s of the root, as
       :class:`~understudy_jumping.takeoff.Takeoff` has them
     - ``takeoff_match`` (): r_G = exp(-‖ω - ω̄‖₁ / 3 - 0.7 (v_z - v̄_z)²) (eq. 4.12); without the last
       term (eq. 4.13) where no `v_z` is wanted
+    - ``takeoff_rest`` (): exp(-`rest` (0.7 ‖v - v̄‖² + 50 (h - h̄)²)), how near the root's velocity v,
+      forward and up, m/s, and its height h, m, are to the clip's. "The remaining dimensions of the
+      take-off states stay the same as in the original reference run" (section 4.8), which has no
+      equation. Without it run-ups learn to fall into the features, the foot in the air.
     """
 
     reads = ("motion_time", "qpos", "qvel")
-    provides: Mapping[str, Shape] = {"arrived": (), "runup_features": (4,), "takeoff_match": ()}
+    provides: Mapping[str, Shape] = {
+        "arrived": (),
+        "runup_features": (4,),
+        "takeoff_match": (),
+        "takeoff_rest": (),
+    }
 
     @dataclass(frozen=True)
     class Options:
@@ -74,16 +83,21 @@ class Arrival(Fields):
         v_z: float | None = -2.4  #: m/s, v̄_z, the velocity that is wanted; null: any (eq. 4.13)
         #: rad/s, ω̄, the angular velocity that is wanted (eq. 4.12)
         omega: tuple[float, float, float] = (-3.0, -3.0, 1.0)
+        rest: float = 1.0  #: how much the root's other velocities and its height count; 0: not at all
 
         def __post_init__(self) -> None:
             check_range(self, "at", above=0)
             check_range(self, "v_z", "omega", least=-1e3, most=1e3)
+            check_range(self, "rest", least=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:
         layout = context.need_scene(CharacterScene, "fields 'jumping/arrival'").layout
         self._at, self._dof, self._options = layout.root_address, layout.root_dof, options
         self._omega = torch.tensor(options.omega, device=context.device)
         self._time = options.at - 0.5 * context.control_dt
+        at = torch.full((1,), options.at, device=context.device)
+        clip = reference_states(reference_motion(context), at)
+        self._clip = self._root(clip["qpos"], clip["qvel"])
 
     def compute(self, motion_time: Tensor, qpos: Tensor, qvel: Tensor) -> dict[str, Tensor]:
         features = takeoff_features(
@@ -92,11 +106,20 @@ class Arrival(Fields):
         away = (features[:, 1:] - self._omega).abs().sum(dim=1) / 3.0
         if self._options.v_z is not None:
             away = away + 0.7 * (features[:, 0] - self._options.v_z).square()
+        forward, up, height = (self._root(qpos, qvel) - self._clip).square().unbind(dim=1)
+        rest = 0.7 * (forward + up) + 50.0 * height
         return {
             "arrived": motion_time >= self._time,
             "runup_features": features,
             "takeoff_match": torch.exp(-away),
+            "takeoff_rest": torch.exp(-self._options.rest * rest),
         }
+
+    def _root(self, qpos: Tensor, qvel: Tensor) -> Tensor:
+        """(N, 3): the root's velocity forward and up, m/s, and its height, m."""
+        ahead = rotations.from_heading(-rotations.heading(qpos[:, self._at + 3 : self._at + 7]))
+        linear = rotations.rotate(ahead, qvel[:, self._dof : self._dof + 3])
+        return torch.stack([linear[:, 0], linear[:, 2], qpos[:, self._at + 2]], dim=1)
 
 
 def takeoff_features(rotation: Tensor, velocity: Tensor) -> Tensor:
@@ -113,6 +136,6 @@ def arrived(arrived: Tensor) -> Tensor:
     return arrived
 
 
-def match(succeeded: Tensor, takeoff_match: Tensor) -> Tensor:
-    """r_G, once, at the take-off."""
-    return succeeded * takeoff_match
+def match(succeeded: Tensor, takeoff_match: Tensor, takeoff_rest: Tensor) -> Tensor:
+    """r_G, once, at the take-off, by how much the rest is as in the clip."""
+    return succeeded * takeoff_match * takeoff_rest
