@@ -61,7 +61,7 @@ def test_obstacle_and_mat_are_in_the_file(
         pytest.skip("no plugin here writes .glb")
     file = tmp_path / "whole.glb"
     assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
-    assert "0.20 s, taken off at 0.15 s" in capsys.readouterr().out
+    assert "0.22 s, taken off at 0.17 s" in capsys.readouterr().out
     figure, *around = trimesh.load_scene(file).geometry.values()  # y up, facing z
     assert 1.5 < figure.extents[1] < 2.0
     extents = sorted(thing.extents[[2, 0, 1]].tolist() for thing in around)
@@ -84,10 +84,10 @@ def test_they_wait_for_the_jump(run_up: Path, jump: Path) -> None:
     assert {shape.joint for shape in figure.shapes} <= set(whole.joint_names)
     for thing in around:
         np.testing.assert_array_equal(thing.clip.times, whole.times)
-        assert thing.clip.rotations.shape == (13, 1, 4)
+        assert thing.clip.rotations.shape == (14, 1, 4)
     at = {thing.clip.name: thing.clip.root_position.numpy() for thing in around}
-    np.testing.assert_allclose(at["obstacle"], np.tile([0.25, 0.0, 0.3], (13, 1)))
-    np.testing.assert_allclose(at["mat"][:, 2], [*9 * [0.1], *ARENA["mat_height"]])
+    np.testing.assert_allclose(at["obstacle"], np.tile([0.25, 0.0, 0.3], (14, 1)))
+    np.testing.assert_allclose(at["mat"][:, 2], [*10 * [0.1], *ARENA["mat_height"]])
 
 
 def test_the_obstacle_is_in_the_video(
@@ -102,9 +102,9 @@ def test_the_obstacle_is_in_the_video(
     assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
     (tracks,) = drawn
     assert tracks.keys() == {"qpos", *ARENA}
-    assert len(tracks["qpos"]) == 6  # of 0.2 s, at 30 Hz
+    assert len(tracks["qpos"]) == 7  # of 0.22 s, at 30 Hz
     for name, recorded in ARENA.items():
-        np.testing.assert_allclose(tracks[name], np.full(6, recorded[0]))
+        np.testing.assert_allclose(tracks[name], np.full(7, recorded[0]))
 
 
 def test_runs_of_two_characters_are_refused_before_they_are_recorded(

@@ -26,6 +26,7 @@ from understudy_characters.recording import (
 )
 from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
+from understudy_motion.arguments import finite
 from understudy_motion.clip import Clip
 from understudy_motion.writing import Shown, write_figures
 from understudy_report.video import write_video
@@ -54,6 +55,15 @@ class Join(Command):
             help="the file to write: jump.npz, jump.bvh, jump.glb or jump.mp4",
         )
 
+        parser.add_argument(
+            "--camera",
+            type=finite,
+            default=60.0,
+            metavar="DEGREES",
+            help="of a video, which way the camera looks: 0 across the obstacle, as the athlete "
+            "jumps, 90 along it (default: %(default)g)",
+        )
+
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.destination
 
@@ -67,11 +77,18 @@ class Join(Command):
         second, _ = recorded_clips(options.jump)
         whole = joined(first, second)
         if options.destination.suffix.lower() == ".mp4":
-            write_video(options.destination, _frames(whole, Path(options.jump)), RATE)
+            frames = _frames(whole, Path(options.jump), options.camera)
+            write_video(options.destination, frames, RATE)
         else:
             figures = _figures(whole, options.jump, options.destination)
             write_figures(figures, options.destination, installed().registry)
-        print(f"{options.destination}: {whole.duration:.2f} s, taken off at {first.duration:.2f} s")
+        off = whole.duration - second.duration
+        print(f"{options.destination}: {whole.duration:.2f} s, taken off at {off:.2f} s")
+        angle, height = gap(first, second)
+        print(
+            f"The jump begins {100 * height:.1f} cm in height and {angle:.2f} rad, in the joint that "
+            "differs most, from where the run-up ends."
+        )
         return 0
 
 
@@ -94,13 +111,15 @@ def _waiting(thing: Shown, whole: Clip) -> Shown:
     return replace(thing, clip=moved)
 
 
-def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
-    """The motion drawn in the scene of the run `jump`, its obstacle as recorded there."""
+def _frames(clip: Clip, jump: Path, camera: float) -> Iterator[np.ndarray]:
+    """The motion drawn in the scene of the run `jump`, its obstacle as recorded there, by a camera that
+    looks `camera` degrees about the vertical from across the obstacle."""
     cure = "record runs of fewer seconds, or write a clip (jump.npz)"
     check_frames(clip, clip.duration * RATE, cure, _MOST)
     run = runs.open_run(jump)
     scene = recorded_scene(run)
     assert isinstance(scene, CharacterScene)  # else its recording had been no clip
+    scene.azimuth = camera
     times = torch.arange(0.0, clip.duration, 1.0 / RATE, dtype=torch.float64)
     tracks = {"qpos": scene.character.qpos(clip, times).numpy()}
     for name, recorded in recorded_fields(run, scene).items():
@@ -108,9 +127,22 @@ def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
     return scene.draw(tracks)
 
 
+def gap(first: Clip, second: Clip) -> tuple[float, float]:
+    """How far the pose that `second` begins in is from where `first` ends: rad of the joint that differs
+    most, the root's heading aside, and m of the root's height."""
+    position, ends = _end(first)
+    begins = second.rotations[0].clone()
+    for pose in (ends, begins):
+        ahead = rotations.from_heading(-rotations.heading(pose[0]))
+        pose[0] = rotations.multiply(ahead, pose[0])
+    height = second.root_position[0, 2] - position[2]
+    return float(rotations.angle_between(ends, begins).max()), float(height.abs())
+
+
 def joined(first: Clip, second: Clip) -> Clip:
     """`first`, turned about the vertical and moved on the ground so that it ends where `second` begins,
-    then `second`.
+    then `second`. The state in which an episode ends is in no recording, so `first` goes on for one
+    more frame as it moved in its last one.
 
     Raises
     ------
@@ -119,18 +151,28 @@ def joined(first: Clip, second: Clip) -> Clip:
     """
     if first.joint_names != second.joint_names:
         raise FileError(f"{first.source} and {second.source} are not of the same character.")
-    ends, begins = first.rotations[-1, 0], second.rotations[0, 0]
-    turn = rotations.from_heading(rotations.heading(begins) - rotations.heading(ends))
-    moved = rotations.rotate(turn, first.root_position)
-    shift: Tensor = second.root_position[0] - moved[-1]
+    position, pose = _end(first)
+    begins = rotations.heading(second.rotations[0, 0])
+    turn = rotations.from_heading(begins - rotations.heading(pose[0]))
+    shift: Tensor = second.root_position[0] - rotations.rotate(turn, position)
     shift = torch.cat([shift[:2], torch.zeros_like(shift[2:])])
     turned = first.rotations.clone()
     turned[:, 0] = rotations.multiply(turn, turned[:, 0])
     return replace(
         second,
         name=f"{first.name}-{second.name}",
-        # the jump's first frame is the run-up's last
-        times=torch.cat([first.times, first.times[-1] + second.times[1:]]),
-        root_position=torch.cat([moved + shift, second.root_position[1:]]),
-        rotations=torch.cat([turned, second.rotations[1:]]),
+        times=torch.cat([first.times, 2 * first.times[-1] - first.times[-2] + second.times]),
+        root_position=torch.cat(
+            [rotations.rotate(turn, first.root_position) + shift, second.root_position]
+        ),
+        rotations=torch.cat([turned, second.rotations]),
     )
+
+
+def _end(clip: Clip) -> tuple[Tensor, Tensor]:
+    """(3,) and (J, 4): where the root is and how the joints are turned a frame after the last one of
+    `clip`, moved and turned on as from the one before to it."""
+    before, last = clip.rotations[-2:]
+    on = rotations.multiply(last, rotations.conjugate(before))
+    position = 2 * clip.root_position[-1] - clip.root_position[-2]
+    return position, rotations.multiply(on, last)

@@ -83,7 +83,9 @@ class Arrival(Fields):
         v_z: float | None = -2.4  #: m/s, v̄_z, the velocity that is wanted; null: any (eq. 4.13)
         #: rad/s, ω̄, the angular velocity that is wanted (eq. 4.12)
         omega: tuple[float, float, float] = (-3.0, -3.0, 1.0)
-        rest: float = 1.0  #: how much the root's other velocities and its height count; 0: not at all
+        rest: float = (
+            1.0  #: how much the root's other velocities and its height count; 0: not at all
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "at", above=0)
