@@ -76,6 +76,42 @@ def test_states_by_what_is_on_record(tmp_path: Path) -> None:
     assert card(tmp_path).state() == "done: 12 of 12 trainings, 12 of them on record"
 
 
+def test_trainings_that_ended_before_the_tables_samples_are_told_of(tmp_path: Path) -> None:
+    """By minutes, say. What met its criterion needed no more, and nine tenths of them are enough."""
+    table = replace(
+        TABLE,
+        figures=(Figure("success_rate"),),
+        rows={"walk": ("budget.samples=10000000",), "run": ()},
+    )
+    ends = [
+        ("walk/full/seed0", 4e5, "budget"),
+        ("walk/full/seed1", 1e6, "budget"),
+        ("walk/full/seed2", 1e6, "criterion"),
+        ("walk/without/seed0", 9.1e6, "budget"),
+        ("run/full/seed0", 4e5, "budget"),
+    ]
+    reports = [
+        {
+            "key": key,
+            "status": "ok",
+            "cost": cost,
+            "outcome": outcome,
+            "measures": {"success_rate": 1},
+        }
+        for key, cost, outcome in ends
+    ]
+    text = "".join(json.dumps({"event": "finished", "report": one}) + "\n" for one in reports)
+    (tmp_path / "whole.jsonl").write_text(text)
+    found = card(tmp_path, table)
+    early, enough, unsaid = found.compared()
+    assert "(3); 2 with 400k to 1M of 10M samples" in early
+    assert "samples" not in enough + unsaid
+    assert found.state() == "partly: 5 of 12 trainings, 5 of them on record, 2 in small"
+    (tmp_path / "small.jsonl").write_text(text)
+    (tmp_path / "whole.jsonl").unlink()
+    assert "; 2 with" not in next(card(tmp_path, table).compared()), "said already, in words"
+
+
 @pytest.mark.parametrize(
     ("full", "without", "expected"),
     [

@@ -38,6 +38,17 @@ class Cell:
 
     results: Sequence[Result]
     less: str = ""  #: how far they fall short of what the table asks for, in words
+    samples: float | None = None  #: that the table gives each; None where it does not say
+
+    def ended_early(self) -> list[Result]:
+        """The trainings that another limit ended, such as minutes, with less than nine tenths of the table's samples and
+        without their criterion."""
+        asked = 0.9 * (self.samples or 0.0)
+        return [
+            r
+            for r in self.results
+            if r.ok and r.state == "budget" and (r.figure(SAMPLES) or asked) < asked
+        ]
 
     def by_seed(self, figure: str) -> dict[int, float]:
         """As `values`; and of samples, those that a training had that missed its criterion."""
@@ -66,6 +77,12 @@ class Cell:
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)
             parts.append(f"{len(missed)} not within {words.short(least)}")
+        early = (
+            [] if figure.of == SAMPLES else [r.figure(SAMPLES) or 0.0 for r in self.ended_early()]
+        )
+        if early and self.samples:
+            of = " to ".join(dict.fromkeys(words.short(v) for v in (min(early), max(early))))
+            parts.append(f"{len(early)} with {of} of {words.short(self.samples)} samples")
         if failed:
             parts.append(f"{failed} failed")
         return "; ".join(parts) or _NOTHING
@@ -108,16 +125,17 @@ class Card:
         self.recorded = {key: record for key, (record, _) in known.items()}
         every = [*here, *(result for _, result in known.values())]
         self.cells = {
-            (row, column): self._cell(every, variant_name(row, column))
+            (row, column): self._cell(every, row, column)
             for row in table.rows
             for column in table.columns
         }
         self._by_name = {variant_name(*at): cell for at, cell in self.cells.items()}
 
-    def _cell(self, results: Sequence[Result], variant: str) -> Cell:
-        own = [r for r in results if r.trial.variant == variant]
+    def _cell(self, results: Sequence[Result], row: str, column: str) -> Cell:
+        own = [r for r in results if r.trial.variant == variant_name(row, column)]
         less = (self.recorded[k].less for r in own if (k := r.trial.key) in self.recorded)
-        return Cell(own, "; ".join(dict.fromkeys(filter(None, less))))
+        said = "; ".join(dict.fromkeys(filter(None, less)))
+        return Cell(own, said, None if said else self.table.samples(row, column))
 
     # ------------------------------------------------------------------ what it says
 
@@ -140,7 +158,12 @@ class Card:
         the table asks for, or ``not begun``; and by how many trainings."""
         asked = len(self.table.variants()) * len(self.table.seeds)
         done = {r.trial.key: r for cell in self.cells.values() for r in cell.results if r.ok}
-        small = [key for key in done if key in self.recorded and self.recorded[key].less]
+        early = {r.trial.key for cell in self.cells.values() for r in cell.ended_early()}
+        small = [
+            key
+            for key in done
+            if key in early or (key in self.recorded and self.recorded[key].less)
+        ]
         on_record = len([key for key in done if key in self.recorded])
         what = "searches" if self.table.searches else "trainings"
         short = f", {len(small)} in small" if small else ""

@@ -140,6 +140,12 @@ class PaperTable:
             if f"{row}/{column}" not in self.without
         }
 
+    def samples(self, row: str, column: str) -> float | None:
+        """How many samples a cell's words give each training (``budget.samples``); None if they do not say."""
+        words = (*self.overrides, *self.rows[row], *self.columns[column])
+        given = [word.partition("=")[2] for word in words if word.startswith("budget.samples=")]
+        return float(given[-1]) if given and given[-1] != "null" else None
+
     def only(self, rows: Sequence[str], columns: Sequence[str], seeds: Sequence[int]) -> PaperTable:
         """The same of these rows, columns and seeds; of all where none are named.
 
