@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 import trimesh
 
 from understudy.command.cli import main
+from understudy.errors import FileError
 from understudy.records import runs
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
@@ -117,3 +120,14 @@ def test_runs_of_two_characters_are_refused_before_they_are_recorded(
     assert main(["jumping", "join", str(other), str(jump), str(tmp_path / "whole.npz")]) == 2
     assert f"{other} and {jump} are not of the same character" in capsys.readouterr().err
     assert not (tmp_path / "whole.npz").exists()
+
+
+def test_a_run_that_was_rendered_by_other_words_says_where(jump: Path, tmp_path: Path) -> None:
+    """As one that was trained on a GPU and is looked at without."""
+    run = tmp_path / "run"
+    shutil.copytree(jump, run)
+    rendered = run / "renders" / "device-cpu"
+    rendered.mkdir(parents=True)
+    (run / "recording.npz").rename(rendered / "recording.npz")
+    with pytest.raises(FileError, match=re.escape(f"rendered last, {rendered}")):
+        recorded_clips(run)

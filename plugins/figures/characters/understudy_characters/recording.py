@@ -73,9 +73,7 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
     run = runs.open_run(path)
     file = run.path / "recording.npz"
     if not file.is_file():
-        raise FileError(
-            f"{run.path} has no recording (recording.npz); make one with `understudy render {run.path}`."
-        )
+        raise FileError(f"{run.path} has no recording (recording.npz); {_another(run.path)}.")
     character = _character(unsimulated(run))
     archive = Archive(file)
     control_dt, first_episode = archive.number("control_dt"), archive.number("first_episode")
@@ -100,6 +98,14 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
     reference = archive.floats("reference_qpos", None, character.model.nq)
     _check_length(run, "reference_qpos", reference, len(recorded))
     return learned, clip(reference, f"{learned.name}-reference")
+
+
+def _another(run: Path) -> str:
+    """Where the run in this folder has a recording, of a `render` with words of its own, or how to make one."""
+    rendered = sorted(run.glob("renders/*/recording.npz"), key=lambda file: file.stat().st_mtime)
+    if rendered:
+        return f"name the one that was rendered last, {rendered[-1].parent}"
+    return f"make one with `understudy render {run}`"
 
 
 def recorded_surroundings(path: str | Path) -> list[Shown]:
