@@ -83,8 +83,7 @@ class Context:
 
     def need_section(self, name: str, kind: type[T], who: str) -> T:
         """The object built from the section `name`; else a ConfigError that `who` needs it."""
-        value = self.sections.get(name)
-        if not isinstance(value, kind):
+        if not isinstance(value := self.sections.get(name), kind):
             raise ConfigError(
                 f"{who} needs the config section '{name}', which this task does not set. "
                 f"Add it (for example {name}.name=…) or choose another part."
