@@ -173,7 +173,8 @@ class Run:
         progress = state.get("progress") if isinstance(state, dict) else None
         samples = progress.get("samples") if isinstance(progress, dict) else None
         if type(samples) is not int or not 0 <= samples < 2**63:
-            raise RunError(f"{path} is damaged: it does not say how many samples it took.")
+            lacks = "it does not say after how many samples it was made"
+            raise RunError(f"{path} is damaged: {lacks}.")
         return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
