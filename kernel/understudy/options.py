@@ -242,10 +242,9 @@ def make_options(schema: Any, values: Any, where: str) -> Any:
     if isinstance(values, schema):
         return values
     if not isinstance(values, Mapping):
-        known = ", ".join(options_of(schema))
-        raise ConfigError(
-            f"{where}={as_yaml(values)} is not possible: it takes a mapping of {known}."
-        )
+        keys = ", ".join(options_of(schema))
+        given = as_yaml(values)
+        raise ConfigError(f"{where}={given} is not possible: it takes a mapping of {keys}.")
     return filled(schema, checked_options(options_of(schema), values, where), where)
 
 

@@ -84,8 +84,7 @@ def _run(arguments: list[str]) -> int:
     arguments = [f"./{w}" if re.match("-.*[.]", w) and os.path.exists(w) else w for w in arguments]
     parser = _parser(arguments)
     for word in arguments:
-        held = re.fullmatch(r"(?:.*=)?(<[^<>=]+>)", word)
-        if held and not os.path.exists(held[1]):
+        if (held := re.fullmatch(r"(?:.*=)?(<[^<>=]+>)", word)) and not os.path.exists(held[1]):
             raise ConfigError(
                 f"{held[1]} in '{word}' stands for your own: write that in its place."
             )

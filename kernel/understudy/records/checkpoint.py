@@ -57,8 +57,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     document = read_sealed(file)
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
         raise RunError(f"{file} is damaged: it is no checkpoint.")
-    version = document.get("format")
-    if version not in (2, FORMAT):
+    if (version := document.get("format")) not in (2, FORMAT):
         raise RunError(
             f"{path} has checkpoint format {version}, and this understudy reads {FORMAT}. Use the "
             "version of understudy that wrote it, or train anew."
@@ -85,8 +84,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _files(path: Path) -> tuple[Path, Path]:
     """The two files of the checkpoint `path`, whose own name may have dots."""
-    name = path.name.removesuffix(".json").removesuffix(".safetensors")
-    if not name:
+    if not (name := path.name.removesuffix(".json").removesuffix(".safetensors")):
         raise RunError(f"{path} names no file. Give one: NAME, NAME.json or NAME.safetensors.")
     return path.with_name(f"{name}.json"), path.with_name(f"{name}.safetensors")
 
@@ -138,8 +136,7 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Roo
             return {"tensor": where}
         eighth = own.flatten().view(torch.uint8).unfold(0, 2**15, 2**18).contiguous()
         for part, most in ((eighth, 0.9), (own, 0.75)):  # an eighth tells enough of most tensors
-            packed = zlib.compress(part.numpy().data, 1)
-            if len(packed) > most * part.nbytes:
+            if len(packed := zlib.compress(part.numpy().data, 1)) > most * part.nbytes:
                 return {"tensor": where}
         tensors[where] = torch.frombuffer(bytearray(packed), dtype=torch.uint8)
         return {"deflated": [where, str(own.dtype), list(own.shape)]}
@@ -163,8 +160,7 @@ def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:
         return tensors.pop(content)  # each is in one place only
     if kind == "deflated":
         name, dtype, shape = content
-        size = math.prod(shape) * _TYPES[dtype].itemsize
-        if not room.take(size):
+        if not room.take(size := math.prod(shape) * _TYPES[dtype].itemsize):
             raise ValueError
         raw = zlib.decompressobj().decompress(tensors.pop(name).numpy().data, size)
         return torch.frombuffer(bytearray(raw), dtype=_TYPES[dtype]).view(shape)

@@ -173,9 +173,8 @@ class Run:
         progress = state.get("progress") if isinstance(state, dict) else None
         samples = progress.get("samples") if isinstance(progress, dict) else None
         if type(samples) is not int or not 0 <= samples < 2**63:
-            raise RunError(
-                f"{path} is damaged: it does not say after how many samples it was made."
-            )
+            lacks = "it does not say after how many samples it was made"
+            raise RunError(f"{path} is damaged: {lacks}.")
         return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
@@ -310,8 +309,7 @@ def open_run(path: str | Path) -> Run:
         raise RunError(f"{file} cannot be read: {error.strerror}.") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
-    layout = info["layout"]
-    if layout != LAYOUT:
+    if (layout := info["layout"]) != LAYOUT:
         who, what = "a newer understudy", "Install that version or a newer one."
         if isinstance(layout, int) and layout < LAYOUT:
             who = "an older understudy, whose tasks and states mean other things"

@@ -313,10 +313,8 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         kept = {name: without_unsound(table[name]).clone() for name in self.next_fields}
-        returns = self.statistics.returns.add_(rewards).clone()
-        step = Step(
-            reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
-        )
+        summed = self.statistics.returns.add_(rewards).clone()
+        step = Step(reached, rewards, terminated, failed, truncated, unsound, summed, endings, kept)
         self.statistics.digest(step, seconds)
         return step
 

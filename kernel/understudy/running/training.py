@@ -254,10 +254,8 @@ class Training:
         self.outcome = "preempted"
         name = signal.Signals(received).name if received else "another process"
         where = f" Continue with `understudy resume {self.run.path}`." if self.run else ""
-        count = self.progress.samples
-        return PreemptedError(
-            f"Stopped by {name} after {count} samples; everything is saved.{where}"
-        )
+        done = f"after {self.progress.samples} samples; everything is saved."
+        return PreemptedError(f"Stopped by {name} {done}{where}")
 
     def ended(self) -> bool:
         """Whether there is nothing left to iterate; sets the outcome. Process 0 decides."""
@@ -320,7 +318,6 @@ def _meaning(config: Any) -> dict[str, Any]:
 
 
 def _reaches(evaluation: Judgement, criterion: float | None) -> bool:
-    rate = evaluation.success_rate
-    if rate is None or criterion is None:
+    if (rate := evaluation.success_rate) is None or criterion is None:
         return False
     return evaluation.complete and rate >= criterion

@@ -155,9 +155,7 @@ def _check(override: str, plugins: Plugins) -> None:
         if names is chosen and (one or not all(isinstance(n, (str, QuotedString)) for n in names)):
             raise ConfigError(f"{override} names no option of {group}. Write {key}=NAME.")
         if any(map(_leads_out, (group, *names))):
-            raise ConfigError(
-                f"{override} names no option: those are files in the folders of options."
-            )
+            raise ConfigError(f"{override} names no option: those are files in folders of options.")
         if isinstance(chosen, str):  # as one types it: without a suffix, ``./`` and doubled slashes
             name = Path(re.sub(r"\.ya?ml$", "", chosen)).as_posix()
             if name != chosen and name in options(plugins, group):
@@ -194,18 +192,15 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
         words = " ".join(overrides)[:200]
         return f"{words}: a file of these options builds on itself, or is nested too deep."
     text = next(iter(str(error).replace(MARK, "").strip().splitlines()), "").rstrip()
-    unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
-    if unset:
+    if unset := re.search(r"Missing mandatory value: ([\w.]+)", text):
         return _not_set(unset[1], overrides, plugins)
-    missing = re.search(r"Could not find '([^/']+)/([^']*)'", text)
-    if missing:
+    if missing := re.search(r"Could not find '([^/']+)/([^']*)'", text):
         group, name = missing.groups()
         return f"There is no {group}={name}.{suggestion(name, options(plugins, group))}"
     if slashed := re.search(r"Could not override '(\w+/[\w/]+)'", text):
         dotted = slashed[1].replace("/", ".")
         return f"There is no configuration key '{slashed[1]}'. A part's option has dots: {dotted}=VALUE."
-    stray = re.search(r"Could not override '(\w+)'", text)
-    if stray:
+    if stray := re.search(r"Could not override '(\w+)'", text):
         if slot := plugins.registry.slots.get(stray[1]):
             one = "{name: COMPONENT, …}"
             form = f"{{NAME: {one}}}" if slot.many else one

@@ -66,8 +66,7 @@ class Experiment:
 
     def need(self, slot: str) -> Chosen:
         """What fills `slot`; a ConfigError if nothing does."""
-        chosen = self.one(slot)
-        if chosen is None:
+        if (chosen := self.one(slot)) is None:
             kind = self.registry.slots[slot].kind
             raise ConfigError(
                 f"{slot} is not set. Choose an experiment (experiment=…), or set it ({slot}=…)."
@@ -82,9 +81,7 @@ class Experiment:
         return found or Chosen("job", self.registry.find("job", USUAL_JOB, "job"), None, "job")
 
     def __repr__(self) -> str:
-        names = {
-            s: "+".join(c.component.name for c in chosen) for s, chosen in self.choices.items()
-        }
+        names = {s: "+".join(c.component.name for c in many) for s, many in self.choices.items()}
         slots = ", ".join(f"{slot}={name}" for slot, name in names.items() if name)
         return f"Experiment({slots}; seed {self.root.seed})"
 
@@ -99,8 +96,7 @@ class Experiment:
     def failures(self) -> tuple[str, ...]:
         """The termination terms that fail an evaluation's episode."""
         terms = self.many("termination.terms")
-        named = self.root.evaluation.failures
-        if named is None:
+        if (named := self.root.evaluation.failures) is None:
             return tuple(t.name for t in terms if t.extras["outcome"] == "failure")
         for name in named:
             _find(name, [t.name for t in terms], "termination term", "evaluation.failures")
@@ -116,8 +112,7 @@ class Experiment:
         root, choices = Root(**vars(self.root)), dict(self.choices)  # plain, whatever those are
         found = plain(dataclasses.asdict(root))
         for slot in self.registry.slots.values():
-            chosen = choices[slot.name]
-            if not chosen and slot.plugin:
+            if not (chosen := choices[slot.name]) and slot.plugin:
                 continue
             value: Any = {c.name: c.effective() for c in chosen}
             if not slot.many:

@@ -21,7 +21,7 @@ from typing import Any
 from understudy.errors import ConfigError, PluginError, UnderstudyError, said, suggestion
 from understudy.options import Option, options_of
 from understudy.setup.root import KEYS
-from understudy.signals import StopRequest, is_stop
+from understudy.signals import is_stop
 
 __all__ = ["Component", "Registrar", "Registry"]
 
@@ -112,8 +112,7 @@ class Component:
         if not isinstance(self.target, str):
             return self.target
         module, _, attribute = self.target.partition(":")
-        # A signal that raised while C++ is being imported would abort the process.
-        with self.guarded("cannot be used", "Install what it is missing"), StopRequest():
+        with self.guarded("cannot be used", "Install what it is missing"):
             loaded = importlib.import_module(module)
         if not hasattr(loaded, attribute):
             raise self.fault(f"is registered as '{self.target}', which does not exist")
@@ -224,15 +223,13 @@ class Registry:
 
     def find(self, kind: str, name: str, where: str = "") -> Component:
         """The component; or a :class:`ConfigError` that suggests what was meant."""
-        component = self.components.get((kind, name))
-        if component is not None:
+        if (component := self.components.get((kind, name))) is not None:
             return component
         place = f" (asked for at {where})" if where else ""
         lost = name.partition("/")[0] in self.broken  # with its plugin, as is said below
         known = "" if lost else suggestion(name, self.names(kind))
         message = f"There is no {kind} '{name}'{place}.{known}"
-        elsewhere = [k for k, n in self.components if n == name]
-        if elsewhere:
+        if elsewhere := [k for k, n in self.components if n == name]:
             message += f" '{name}' is a {elsewhere[0]}."
         raise ConfigError(message + self.absent())
 
@@ -362,7 +359,7 @@ class Registrar:
         typed = " ".join(str(name).split()) == name != "" and name.isprintable()
         if not typed or not all(isinstance(text, str) for text in (what, *texts)):
             raise PluginError(
-                f"{by} registers the {what} {name!r}, whose name or summary is no text."
+                f"{by} registers the {what} {name!r}; its name or summary is no text."
             )
         if "." in name:
             slashed = name.replace(".", "/")

@@ -72,8 +72,7 @@ class Context:
     def need_scene(self, kind: type[T], who: str) -> T:
         """The scene, or its one member, that is a `kind`; else a ConfigError that `who` needs it."""
         scenes = [self.scene, *(self.scene.members.values() if self.scene else ())]
-        found = [scene for scene in scenes if isinstance(scene, kind)]
-        if len(found) != 1:
+        if len(found := [scene for scene in scenes if isinstance(scene, kind)]) != 1:
             have = ", ".join(type(s).__name__ for s in found or scenes if s) or "no scene"
             raise ConfigError(
                 f"{who} needs {'one' if found else 'a'} scene of type {kind.__name__}, but the task has "
@@ -83,8 +82,7 @@ class Context:
 
     def need_section(self, name: str, kind: type[T], who: str) -> T:
         """The object built from the section `name`; else a ConfigError that `who` needs it."""
-        value = self.sections.get(name)
-        if not isinstance(value, kind):
+        if not isinstance(value := self.sections.get(name), kind):
             raise ConfigError(
                 f"{who} needs the config section '{name}', which this task does not set. "
                 f"Add it (for example {name}.name=…) or choose another part."

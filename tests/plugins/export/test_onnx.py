@@ -179,6 +179,21 @@ def test_an_image_is_an_input_as_it_is(tmp_path: Path) -> None:
     assert not (tmp_path / "grains.reference.npz").exists()
 
 
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_model_is_not_there_without_what_belongs_beside_it(
+    earlier: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a folder has the name of the reference's table, which is written last."""
+    model, table = tmp_path / "walk.onnx", tmp_path / "walk.reference.npz"
+    table.mkdir()
+    if earlier:
+        model.write_bytes(b"earlier")
+    assert main(["export", "spacetime/walk", str(model), *["--overwrite"] * earlier]) == 2
+    assert capsys.readouterr().err == f"understudy: {table}: cannot be written: Is a directory.\n"
+    assert sorted(tmp_path.iterdir()) == ([model, table] if earlier else [table])
+    assert not earlier or model.read_bytes() == b"earlier"
+
+
 def test_options_of_motions_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "spacetime/walk", "walk.onnx", "--rate", "30"]) == 2
     assert "--rate is for motions, and walk.onnx is a policy" in capsys.readouterr().err

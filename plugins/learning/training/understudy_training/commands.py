@@ -9,7 +9,6 @@ import argparse
 
 from understudy.command.cli import main
 from understudy.command.command import Command
-from understudy.signals import StopRequest
 
 
 class Train(Command):
@@ -24,8 +23,7 @@ class Train(Command):
     def run(self, options: argparse.Namespace) -> int:
         if not options.overrides:
             return main(["experiments"])
-        with StopRequest():  # a signal would abort what is being imported
-            from understudy_training.workflow import train
+        from understudy_training.workflow import train
 
         return train(options.overrides)
 
@@ -40,7 +38,6 @@ class Resume(Command):
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
-        with StopRequest():
-            from understudy_training.workflow import resume
+        from understudy_training.workflow import resume
 
         return resume(options.run, options.overrides)

@@ -20,6 +20,7 @@ import io
 import json
 import logging
 import os
+import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +34,6 @@ from torch import Tensor, nn
 
 from understudy import __version__
 from understudy.errors import FileError
-from understudy.folders import write_atomically
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Chosen
 from understudy.signals import StopRequest
@@ -117,33 +117,37 @@ def write_policy(skill: Skill, path: Path, licence: Mapping[str, Any]) -> list[s
             policy.distribution(observations)
         acting = Acting(policy.eval(), built, tuple(observations.read))
         facts = {**metadata(skill, built, acting), "licence": json.dumps(licence)}
-        write_model(acting, [observations[name] for name in acting.names], facts, path)
-        lines = [f"{path}: {_summary(facts)}"]
+        lines, others = [f"{path}: {_summary(facts)}"], dict[Path, bytes]()
         table = reference_table(built)
         if table is not None:
             beside = path.with_suffix(REFERENCE_TABLE)
             content = io.BytesIO()
             np.savez_compressed(content, **cast(dict[str, Any], table))
-            _save(beside, content.getvalue())
+            others[beside] = content.getvalue()
             lines.append(f"{beside}: the reference that it observes, {len(table['time'])} rows")
+        example = [observations[name] for name in acting.names]
+        write_model(acting, example, facts, path, others)
     finally:
         built.environment.close()
     return lines
 
 
 def write_model(
-    acting: Acting, example: Sequence[Tensor], facts: Mapping[str, str], path: Path
+    acting: Acting,
+    example: Sequence[Tensor],
+    facts: Mapping[str, str],
+    path: Path,
+    others: Mapping[Path, bytes] | None = None,
 ) -> None:
-    """Write `acting` as the ONNX model `path` with the metadata `facts`; `example` are observations of
-    one world.
+    """Write `acting` as the ONNX model `path` with the metadata `facts`, and `others`, files in the same
+    folder: all of them or none. `example` are observations of one world.
 
     Raises
     ------
     FileError
         as :func:`write_policy`.
     """
-    with StopRequest():  # a signal would abort what is being imported
-        import onnx
+    import onnx
 
     worlds = torch.export.Dim("worlds", min=1)
     # Twice, as an axis of length 1 is taken for one that cannot be longer.
@@ -171,12 +175,32 @@ def write_model(
     model.producer_name, model.producer_version = "understudy", __version__
     onnx.helper.set_model_props(model, dict(facts))
     onnx.checker.check_model(model)
-    _save(path, model.SerializeToString())
+    _save({path: model.SerializeToString(), **(others or {})})
 
 
-def _save(path: Path, content: bytes) -> None:
+def _save(files: Mapping[Path, bytes]) -> None:
+    """Write the `files` of one folder; if one cannot be written, all are left as they were."""
+    path, *_ = files
     try:
-        write_atomically(path, content)
+        with (
+            tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder,
+            StopRequest(),  # a signal waits until all are there
+            contextlib.ExitStack() as undo,
+        ):
+            made, kept = Path(folder) / "made", Path(folder) / "kept"
+            made.mkdir()
+            kept.mkdir()
+            for path, content in files.items():
+                (made / path.name).write_bytes(content)
+                if path.is_file():
+                    shutil.copy2(path, kept)
+            for path in files:
+                os.replace(made / path.name, path)
+                if (before := kept / path.name).exists():
+                    undo.callback(os.replace, before, path)
+                else:
+                    undo.callback(path.unlink)
+            undo.pop_all()
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise FileError(f"{path}: cannot be written: {reason}.") from error

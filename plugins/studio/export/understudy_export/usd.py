@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from understudy.errors import FileError, said
-from understudy.signals import StopRequest
 from understudy_export.figure import Figure, Surface, figure, notice, origin, printable
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.writing import ClipWriter, Shape
@@ -92,8 +91,7 @@ def new_stage(
         if usd-core is not installed; `what` would be written with it.
     """
     try:
-        with StopRequest():  # what a signal raises in there, it swallows, and is left half imported
-            from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt  # noqa: F401
+        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt  # noqa: F401
     except ImportError as error:
         raise FileError(
             f"{what}: USD is written with usd-core, which is not installed: pip install 'understudy[usd]'."
