@@ -125,6 +125,8 @@ MUTANTS = (
            "config.logto_file = config.logto_console = False", "pass", f"{F02} -k written_nowhere"),
     Mutant("particles may fly", "plugins/physics/pbd/understudy_pbd/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3",
            "_EXTENT, _SPEED = 1e6, 1e6", "tests/faults/test_04_diverging_particles.py"),
+    Mutant("cloth may be rubber", f"{CLOTH}/weight.py", "_LONGER, _TOO_LONG = 0.1, 0.5", "_LONGER, _TOO_LONG = 0.1, 5e6",
+           "tests/plugins/cloth/test_weight.py -k refused"),
     Mutant("cloth may fly", f"{CLOTH}/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3", "_EXTENT, _SPEED = 1e6, 1e6",
            "tests/plugins/cloth/test_cloth_simulator.py -k fails_alone"),
     Mutant("what was searched is not kept", f"{CLOTH}/simulator.py", 'hidden["anchor"] = (wp.to_torch(c.anchor), (v, 3))', "pass",
