@@ -184,6 +184,8 @@ def test_bones_may_have_freedoms_to_move_that_they_do_not_use(tmp_path: Path) ->
 
 def test_which_skeleton(tmp_path: Path) -> None:
     path = write_amc(tmp_path)
+    with pytest.raises(FileError, match=r"Skeleton .*none\.asf: there is no such file"):
+        read(path, skeleton=tmp_path / "none.asf")
     (tmp_path / "other.asf").write_text("damaged")
     assert read(path).num_frames == 6  # by the subject's name
     (tmp_path / "small.asf").rename(tmp_path / "renamed.ASF")

@@ -174,7 +174,7 @@ def read_figure(path: Path) -> Figure:
     FileError
         missing, too large, or not a skeleton; names the line.
     """
-    text = decoded(read_bytes(path, MAX_SKELETON_BYTES))
+    text = decoded(read_bytes(path, MAX_SKELETON_BYTES, what="Skeleton"))
     return _FigureParser(path).parse(text.splitlines())
 
 
