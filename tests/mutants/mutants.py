@@ -748,6 +748,20 @@ MUTANTS = (
         "tests/plugins/chopsticks/test_relocate.py -k without_a_planner",
     ),
     Mutant(
+        "a relocation that slows down is the next one",
+        "plugins/papers/chopsticks/understudy_chopsticks/follow.py",
+        "leg = torch.where(goes, here[:, 0, LEG], leg_begun)",
+        "leg = here[:, 0, LEG]",
+        "tests/plugins/chopsticks/test_relocate.py -k misses",
+    ),
+    Mutant(
+        "a relocation that begins has failed",
+        "plugins/papers/chopsticks/understudy_chopsticks/again.py",
+        "failed &= ~begun",
+        "pass",
+        "tests/test_relocations_benchmark.py -k planned_for",
+    ),
+    Mutant(
         "a grip that holds nothing does not say so",
         "plugins/figures/gripping/understudy_gripping/grip.py",
         '**({} if self.holds else {"holds": False}),',
