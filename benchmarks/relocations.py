@@ -6,7 +6,7 @@ skill of relocation in MuJoCo on one core, each episode by a plan of its own tha
 when it was cut is begun anew, so that quick failures would be counted too often if cuts were many.
 
 ``--another`` puts another object of table 5.2 on the table after each relocation, as the thesis' tasks of eight have it, of a skill whose
-object is of any kind (``chopsticks/objects``).
+object is of any kind (``chopsticks/objects``); each is planned as it begins (``memory.again.onward=true``).
 
 ``--untrained EXPERIMENT`` follows the plans of an experiment without a policy: the targets are the plan's alone.
 """
@@ -118,6 +118,11 @@ def episodes(
     )
     environment, initial = built.environment, built.environment.parts.initial_states
     assert isinstance(initial, Relocations)
+    if another and not initial.bank.one_by_one:
+        environment.close()
+        raise SystemExit(
+            "--another needs memory.again.onward=true: what is planned before is planned for the object that goes."
+        )
     try:
         policy = build_policy(experiment, built.context)
         if skill is not None:

@@ -548,6 +548,80 @@ def test_what_no_plan_reaches_is_given_up(replanned: Built) -> None:
     assert field(replanned, "failed")[[0, 2]].all()
 
 
+@pytest.mark.parametrize("onward", [False, True])
+def test_a_relocation_that_misses_is_made_anew_itself(plugins: Plugins, onward: bool) -> None:
+    """Not the one after it, to whose frames the sticks come as they slow down; and none is passed over."""
+    words = [
+        *WORDS[:1], "num_worlds=1", "initial_states.plans=1", "initial_states.refill=0", "initial_states.relocations=3", "memory.again.most=1",
+        f"memory.again.onward={onward}", "termination.terms.contact_lost=null", "termination.terms.dropped=null",
+        "scene.object={kind: box, sizes: [0.012, 0.012, 0.012]}",
+    ]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    environment, (_, bank) = made.environment, parts(made)
+    bank.slipped = lambda place: [0.0] * len(place)  # without a policy sticks slip, and fall
+    environment.reset(seed=3)
+    simulator, goals = environment.parts.simulator, bank.goals[0].clone()
+
+    def carried(aside: float) -> None:
+        """A step, and the object where its plan has it or `aside` of that, m."""
+        state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+        frame = round(float(field(made, "plan_time")[0]) / 0.01) + 1
+        row = bank.frames[int(field(made, "followed")[0])]
+        state["qpos"][0, 50:57] = row[min(frame, len(row) - 1), 8:15]
+        state["qpos"][0, 50] += aside
+        state["qvel"][0, 48:] = 0.0
+        simulator.set_state(torch.tensor([True]), state)
+        environment.advance(torch.zeros(1, 36))
+
+    while float(field(made, "plan_stopped")[0]) < 0:
+        carried(0.008)
+        assert float(field(made, "planned_leg")[0]) == 0.0
+    while float(field(made, "replans")[0]) == 0:
+        environment.advance(torch.zeros(1, 36))
+        assert float(field(made, "planned_leg")[0]) == 0.0
+        torch.testing.assert_close(field(made, "planned_goal")[0], goals[0])
+    assert int(field(made, "followed")[0]) == bank.drawn
+    new = bank.frames[bank.drawn, : int(bank.lengths[bank.drawn]) + 1]
+    assert new[:, 16].unique().tolist() == ([0.0, 1.0] if onward else [0.0, 1.0, 2.0])
+    end = int((new[:, 17] == 1).nonzero()[0, 0])
+    torch.testing.assert_close(new[end, 8:11], goals[0])
+    torch.testing.assert_close(bank.goals[bank.drawn], goals)
+    placed = 0
+    while float(field(made, "planned_leg")[0]) == 0.0:
+        carried(0.0)
+        placed += int(field(made, "leg_placed")[0])
+    assert placed == 1
+    assert field(made, "replans").tolist() == [1]
+    assert float(field(made, "planned_leg")[0]) == 1.0
+    made.environment.close()
+
+
+def test_what_is_put_upon_another_is_put_there_anew(plugins: Plugins) -> None:
+    box = "{kind: box, sizes: [0.015, 0.015, 0.015]}"
+    words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=1", "initial_states.refill=0", "memory.again.most=1", f"scene.object={box}"]  # fmt: skip
+    under = "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"
+    made = build_environment(load_experiment([*words, under], plugins), evaluating=True)
+    made.environment.reset(seed=0)
+    goal, (_, bank) = field(made, "plan_goal")[0].clone(), parts(made)
+    start = bank.frames[0, 0, 8:15].double().cpu()
+    own = bank.again(0, 0, 20, 0, start[:3], start[3:], 0.0)
+    assert own == 1
+    way = bank.frames[1, : int(bank.lengths[1]) + 1]
+    torch.testing.assert_close(way[-1, 8:11], goal)
+    assert float(goal[2]) == pytest.approx(0.0275)
+    held = way[way[:, 15] > 0, 8:11]
+    near = (held[:, :2] - goal[:2]).abs().amax(1) < 0.01
+    assert held[near, 2].min() > 0.0275 - 5e-4, "not through the lower one"
+    made.environment.close()
+    over = "scene.above={kind: box, sizes: [0.012, 0.012, 0.012]}"
+    made = build_environment(load_experiment([*words, over], plugins), evaluating=True)
+    made.environment.reset(seed=0)
+    assert parts(made)[1].again(0, 0, 20, 0, start[:3], start[3:], 0.0) is None, (
+        "it may have fallen"
+    )
+    made.environment.close()
+
+
 def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plugins) -> None:
     """In the moment at which it begins, in that world alone, and the arm goes on from where it is."""
     words = [
@@ -613,13 +687,13 @@ def test_a_tool_that_touches_what_it_let_go_of_goes_up_first(plugins: Plugins) -
     with pytest.raises(NoPlan, match="in the phase 'approach' something is in the way"):
         bank._planner.plan(table.task(0, goal), now, table.without(0))
     turn = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    own = bank.toward(row, 0, end, torch.tensor([*start, 0.01]).double(), turn, goal, 0.0)
+    own = bank.toward(row, 0, end, 0, torch.tensor([*start, 0.01]).double(), turn, goal, 0.0)
     new = bank.frames[own]
     rises = bank._planner.begin(tuple(new[40, :7].double().tolist())).lower[2] - now.lower[2]
     assert float(rises) == pytest.approx(0.03, abs=2e-3)
     torch.testing.assert_close(new[int(bank.lengths[own]), 8:10], torch.tensor(goal))
     with pytest.raises(NoPlan, match="the arm is too short"):  # and not that the way up was none
-        bank.toward(row, 0, end, torch.tensor([*start, 0.01]).double(), turn, (0.6, 0.2), 0.0)
+        bank.toward(row, 0, end, 0, torch.tensor([*start, 0.01]).double(), turn, (0.6, 0.2), 0.0)
     made.environment.close()
 
 

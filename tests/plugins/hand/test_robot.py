@@ -80,10 +80,24 @@ def test_a_grip_belongs_to_the_model_that_it_was_found_for(package: Path) -> Non
     [
         (Robot("no_such_hand", "hand.xml"), "pip install --no-deps no-such-hand"),
         (Robot("no such hand", "hand.xml"), "which is not installed"),
-        (replace(MINE, file="models/other.xml"), "has no file models/other.xml"),
+        (replace(MINE, file="models/other.xml"), "has no file 'models/other.xml'"),
         (replace(MINE, palm="paw"), "has no body 'paw'"),
         (replace(MINE, links={"thumb_distal": "claw"}), "has no body 'claw'"),
         (replace(MINE, inner={"index_metacarpal": "pad"}), "has no shape 'pad' that touches anything"),
+        (replace(MINE, inner={"index_pad": "pad", "thumb_pad": "pad"}), "scene.robot.inner has two names for 'pad'"),
+        (Robot("__main__", "hand.xml"), "which is not installed"),
+        (replace(MINE, file="../hand_of_mine/models/hand.xml"), "has no file '../hand_of_mine"),
+        (replace(MINE, file="/etc/hostname"), "has no file '/etc/hostname'"),
+        (replace(MINE, palm="world"), "has no body 'world'"),
+        (replace(MINE, palm="forearm"), "Two links are called 'wrist' in arm and hand"),
+        (replace(MINE, palm="tip_of_the_index"), "index_distal: the body 'tip_of_the_index' of models/hand.xml does not hang on the palm"),
+        (replace(MINE, links={}), "has no body 'index_distal', the tip of a finger. Say which it is: scene.robot.links.index_distal=BODY"),
+        (replace(MINE, links={"index_distal": "forearm"}), "links.index_distal: the body 'forearm' of models/hand.xml does not hang on the palm"),
+        (replace(MINE, links={"palm": "tip_of_the_index"}), "Two links are called 'palm'"),
+        (replace(MINE, links={"middle_distal": "tip_of_the_index"}), "Two links are called 'middle_distal'"),
+        (replace(MINE, links={"index_distal": "tip_of_the_index", "index_tip": "tip_of_the_index"}), "links has two names for 'tip_of_the_index'"),
+        (replace(MINE, links={**MINE.links, "claw": "ring_middle"}), "The body 'claw' of models/hand.xml turns, and it is not said of which finger"),
+        (replace(MINE, rest={"claw": 1.0}), "scene.robot.rest: the hand has no hinge 'claw'"),
     ],
 )  # fmt: skip
 def test_what_is_no_hand_is_refused(robot: Robot, said: str, package: Path) -> None:
@@ -91,6 +105,18 @@ def test_what_is_no_hand_is_refused(robot: Robot, said: str, package: Path) -> N
         _ = scene(robot).model
     assert said in str(error.value)
     assert error.value.exit_status == 2
+
+
+def test_each_body_of_a_hand_has_a_name(package: Path) -> None:
+    text = (package / "models" / "hand.xml").read_text()
+    assert '<body name="ring_middle"' in text
+    (package / "models" / "nameless.xml").write_text(
+        text.replace('<body name="ring_middle"', "<body")
+    )
+    with pytest.raises(
+        ConfigError, match=r"A body on the palm 'palm' of models/nameless\.xml has no name"
+    ):
+        _ = scene(replace(MINE, file="models/nameless.xml")).model
 
 
 def test_a_robot_has_its_own_measures() -> None:

@@ -184,6 +184,8 @@ def test_bones_may_have_freedoms_to_move_that_they_do_not_use(tmp_path: Path) ->
 
 def test_which_skeleton(tmp_path: Path) -> None:
     path = write_amc(tmp_path)
+    with pytest.raises(FileError, match=r"Skeleton .*none\.asf: there is no such file"):
+        read(path, skeleton=tmp_path / "none.asf")
     (tmp_path / "other.asf").write_text("damaged")
     assert read(path).num_frames == 6  # by the subject's name
     (tmp_path / "small.asf").rename(tmp_path / "renamed.ASF")
@@ -226,18 +228,20 @@ def test_a_skeleton_alone_has_no_motion(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("lshin 30", "lshin", "line 8: 'lshin' and 1 finite numbers are expected"),
+        ("lshin 30", "lshin", "line 8: 'lshin' and 1 finite number are expected"),
         ("lshin 30", "lshin 30 40", "line 8: 'lshin' and 1"),
         ("lshin 30", "lshin nan", "line 8: 'lshin' and 1"),
         ("lshin 30", "lshin 1e400", "line 8: 'lshin' and 1"),
         ("lshin 30", "lshin 3_0", "line 8: 'lshin' and 1"),
         ("lshin 30", "knee 30", "'knee' in its first frame is not one of the moving bones"),
         ("lshin 30", "rhipjoint 30", "'rhipjoint' in its first frame is not one of the moving"),
-        ("lshin 30", "root 1 2 3 4 5 6", "'root' .* or is listed twice"),
+        ("lshin 30", "root 1 2 3 4 5 6", "'root' is listed twice in its first frame"),
         ("lshin 30\r\n", "", "its first frame has no 'lshin'"),
         ("2\r\nroot", "3\r\nroot", "line 9: the number 2 of a frame is expected, not '3'"),
         ("3\r\nroot", "root", "line 14: the number 3 of a frame is expected, not 'root"),
         ("1\r\nroot", "x\r\nroot", "line 4: 'x' is no AMC header"),
+        (":DEGREES", ":DEGREES\n:RADIANS", "line 4: it says both :DEGREES and :RADIANS"),
+        (":DEGREES", ":FPS 60\n:FPS 30", "line 4: it says both 60 and 30 frames per second"),
     ],
 )
 def test_damage_of_the_motion_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -280,6 +284,30 @@ def test_a_last_frame_that_is_cut_off(tmp_path: Path) -> None:
         ("    lthigh lshin\n", "    lthigh lshin rthigh\n", "'rthigh' hangs on two bones"),
         ("    root lthigh", "    lshin lthigh", "does not hang on the root"),
         ("  end\n  begin\n     id 2", "  end\n     id 2", "'begin' is expected"),
+        ("     length 7\n", "     length -7\n", "a bone's length must be 0 or above"),
+        ("     length 7\n", "", "bone 'lshin' ends that has no length"),
+        ("     length 7\n", "     length 7\n     length 8\n", "'length' is said twice of a bone"),
+        (
+            "     name lthigh\n",
+            "     name lthigh\n     name thigh\n",
+            "'name' is said twice of a bone",
+        ),
+        ("     name lthigh\n", "", "a bone ends that has no name"),
+        ("     direction 0 -1 0\n", "", "ends that has no direction"),
+        (
+            "     direction 0 -1 0\n",
+            "     direction 0 0 0\n",
+            "has a length, and its direction is 0 0 0",
+        ),
+        (
+            "  end\n  begin\n     id 2\n     name lshin\n",
+            "  begin\n     id 2\n",
+            "ends that has no name",
+        ),
+        ("length 0.45", "length 0.45\n  length 1", "line 7: 'length' is said twice in :units"),
+        ("order TX TY TZ RX RY RZ\n", "", "section :root has no 'order'"),
+        (":root\n", ":trunk\n", "is no ASF: it has no section :root"),
+        (":bonedata\n", ":bones\n", "is no ASF: it has no section :bonedata"),
     ],
 )
 def test_damage_of_the_skeleton_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -289,6 +317,15 @@ def test_damage_of_the_skeleton_is_named(tmp_path: Path, old: str, new: str, mes
     with pytest.raises(FileError, match=message) as caught:
         read(path)
     assert "small.asf" in str(caught.value)
+
+
+def test_a_skeletons_sections_may_come_in_any_order(tmp_path: Path) -> None:
+    path = write_amc(tmp_path)
+    expected = read(path)
+    head, bones = ASF.split(":bonedata")
+    bones, hierarchy = bones.split(":hierarchy")
+    (tmp_path / "small.asf").write_text(f"{head}:hierarchy{hierarchy}:bonedata{bones}")
+    check_same(read(path), expected)
 
 
 def long_clip(folder: Path, minutes: float) -> tuple[Path, int]:

@@ -225,6 +225,16 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
         ("1 90 13", "1 9e9 13", "frame 1: root position is more than"),
         ("OFFSET 0 60 0", "OFFSET 0 60", "line 18: OFFSET needs three numbers, not 'CHANNELS'"),
         ("    OFFSET 0 60 0\n", "", "joint 'Head' has no OFFSET"),
+        (
+            "    OFFSET 0 60 0\n",
+            "    OFFSET 0 60 0\n    OFFSET 0 6 0\n",
+            "joint 'Head' has two OFFSETs",
+        ),
+        (
+            "CHANNELS 1 Yrotation",
+            "CHANNELS 1 Yrotation CHANNELS 1 Yrotation",
+            "joint 'Head' has two CHANNELS",
+        ),
         ("JOINT Head", "ROOT Head", "line 15: one ROOT is expected"),
         ("JOINT Head", "JOINT", "line 16: a joint has no name"),
         ("JOINT Head", "BONE Head", "line 15: 'BONE' is not part of a joint"),

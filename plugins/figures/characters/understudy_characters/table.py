@@ -12,6 +12,7 @@ from typing import Literal
 
 import mujoco
 
+from understudy.errors import ConfigError
 from understudy_characters.servos import add_servo
 from understudy_characters.staging import add_floor, add_sky, add_sun, solve_fast
 
@@ -89,7 +90,14 @@ def build_figure(
         to be compiled or added to. Actuators are position servos (stable PD,
         :mod:`understudy_characters.servos`) on exponential maps (ball) and angles (hinge), three or one a
         joint in the order of the table.
+
+    Raises
+    ------
+    ConfigError
+        there are no links, two have one name or no parent, or one hangs on none before it.
     """
+    if not links:
+        raise ConfigError(f"The figure '{name}' has no links.")
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = False
@@ -99,6 +107,16 @@ def build_figure(
     add_floor(spec)
     made: dict[str, mujoco.MjsBody] = {}
     for link in links:
+        if link.name in made:
+            raise ConfigError(f"The figure '{name}' has two links '{link.name}'.")
+        if link.parent is not None and link.parent not in made:
+            raise ConfigError(
+                f"The figure '{name}' has no link '{link.parent}' before '{link.name}', which hangs on it."
+            )
+        if link.parent is None and made:
+            raise ConfigError(
+                f"The figure '{name}' has two links without a parent: '{link.name}' is one."
+            )
         parent = spec.worldbody if link.parent is None else made[link.parent]
         place = link.offset if link.parent is not None else (0, 0, standing_height)
         body = made[link.name] = parent.add_body(name=link.name, pos=place)

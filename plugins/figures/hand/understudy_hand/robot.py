@@ -7,14 +7,15 @@ taken are its links, hinges and shapes. m, kg, rad.
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
 
-from understudy.errors import ConfigError
-from understudy_hand.table import ARM, PALM, Hinge, Link, Shape
+from understudy.errors import ConfigError, suggestion
+from understudy_hand.table import ARM, FINGERS, PALM, Hinge, Link, Shape
 from understudy_mujoco.mjcf import read_mjcf
 from understudy_mujoco.trial import spec_of, try_out
 
@@ -48,15 +49,19 @@ class Robot:
 
 def _path(robot: Robot) -> Path:
     """Of its file; the package is found and not imported."""
-    found = importlib.util.find_spec(robot.package) if robot.package.isidentifier() else None
+    try:
+        found = importlib.util.find_spec(robot.package) if robot.package.isidentifier() else None
+    except ValueError:  # of what is imported and has no file
+        found = None
     if found is None or not found.submodule_search_locations:
         raise ConfigError(
             f"This hand is one of the package {robot.package}, which is not installed: pip install --no-deps {robot.package.replace('_', '-')}"
         )
     path = Path(found.submodule_search_locations[0]) / robot.file
-    if not path.is_file():
+    outside = Path(robot.file).is_absolute() or ".." in Path(robot.file).parts
+    if outside or not path.is_file():
         raise ConfigError(
-            f"The package {robot.package} has no file {robot.file}. Set scene.robot.file."
+            f"The package {robot.package} has no file '{robot.file}'. Set scene.robot.file."
         )
     return path
 
@@ -67,17 +72,21 @@ def robot_links(robot: Robot) -> tuple[Link, ...]:
     Raises
     ------
     ConfigError
-        the package is missing, or its model has no such body or shape.
+        the package is missing, its model has no such body or shape, or they make no hand.
     FileError
         the file is no model.
     """
+    for option, given in (("links", robot.links), ("inner", robot.inner)):
+        for part, count in Counter(given.values()).items():
+            if count > 1:
+                raise ConfigError(f"scene.robot.{option} has two names for '{part}'. Keep one.")
     path = _path(robot)
     read = read_mjcf(path)
     try_out(path, path.parent, read)
     model = spec_of(read).compile()
     names = {model.body(body).name: body for body in range(model.nbody)}
     for name in (robot.palm, *robot.links.values()):
-        if name not in names:
+        if name not in names or not names[name]:
             raise ConfigError(f"{robot.file} has no body '{name}'. Change scene.robot.")
     palm = _shapes(model, names[robot.palm], "palm", robot.inner)
     for name, shape in robot.inner.items():
@@ -87,6 +96,7 @@ def robot_links(robot: Robot) -> tuple[Link, ...]:
             )
     own = {names[body]: name for name, body in robot.links.items()} | {names[robot.palm]: "palm"}
     hand = [body for body in range(model.nbody) if _hangs(model, body, names[robot.palm])]
+    _check_names(robot, [model.body(body).name for body in hand])
     found = [*ARM, PALM, *palm]
     for body in hand:
         name = own.setdefault(body, model.body(body).name)
@@ -100,7 +110,50 @@ def robot_links(robot: Robot) -> tuple[Link, ...]:
             )
         )  # fmt: skip
         found += shapes[1:]
+    _check_links(robot, found)
     return tuple(found)
+
+
+def _check_names(robot: Robot, hand: list[str]) -> None:
+    """Refuse what names the bodies `hand`, which hang on the palm, in no way that makes a hand."""
+    if "" in hand:
+        raise ConfigError(
+            f"A body on the palm '{robot.palm}' of {robot.file} has no name. Give it one."
+        )
+    for name, body in robot.links.items():
+        if body not in hand:
+            raise ConfigError(
+                f"scene.robot.links.{name}: the body '{body}' of {robot.file} does not hang on the palm '{robot.palm}'."
+            )
+
+
+def _check_links(robot: Robot, found: Sequence[Link]) -> None:
+    """Refuse links that are no hand on the arm."""
+    for name, count in Counter(link.name for link in found).items():
+        if count > 1:
+            raise ConfigError(
+                f"Two links are called '{name}' in arm and hand of {robot.file}. Give one of the hand another name in "
+                "scene.robot.links or scene.robot.inner."
+            )
+    hand = found[len(ARM) + 1 :]
+    for finger in FINGERS:
+        if f"{finger}_distal" not in {link.name for link in hand}:
+            raise ConfigError(
+                f"{robot.file} has no body '{finger}_distal', the tip of a finger. Say which it is: "
+                f"scene.robot.links.{finger}_distal=BODY."
+            )
+    for link in hand:
+        if link.hinges and link.name.partition("_")[0] not in FINGERS:
+            raise ConfigError(
+                f"The body '{link.name}' of {robot.file} turns, and it is not said of which finger. Name it in "
+                f"scene.robot.links, such as {FINGERS[1]}_middle."
+            )
+    hinges = [hinge.name for link in hand for hinge in link.hinges]
+    for name in robot.rest:
+        if name not in hinges:
+            raise ConfigError(
+                f"scene.robot.rest: the hand has no hinge '{name}'.{suggestion(name, hinges)}"
+            )
 
 
 def _hangs(model: mujoco.MjModel, body: int, palm: int) -> bool:

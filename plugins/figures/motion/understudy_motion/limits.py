@@ -19,8 +19,10 @@ MAX_ROTATIONS = 8_000_000
 """Frames times joints: ten minutes of a hundred joints at 120 frames/s, 256 MB of quaternions."""
 
 
-def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> bytes:
-    """The file's content, at most `limit` bytes; more is an error if the `whole` file is wanted.
+def read_bytes(
+    path: Path, limit: int = MAX_BYTES, *, whole: bool = True, what: str = "Clip"
+) -> bytes:
+    """The content of the file, which is a `what`, at most `limit` bytes; more is an error if the `whole` file is wanted.
 
     Raises
     ------
@@ -29,13 +31,13 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> byt
     """
     try:
         if not path.is_file():
-            raise FileError(f"Clip {path}: there is no such file.")
+            raise FileError(f"{what} {path}: there is no such file.")
         with path.open("rb") as file:
             content = file.read(limit + 1)
     except (OSError, ValueError) as error:
-        raise FileError(f"Clip {path}: cannot be read: {error}.") from error
+        raise FileError(f"{what} {path}: cannot be read: {error}.") from error
     if whole and len(content) > limit:
-        raise FileError(f"Clip {path}: larger than {limit // 2**20} MB.")
+        raise FileError(f"{what} {path}: larger than {limit // 2**20} MB.")
     return content[:limit]
 
 

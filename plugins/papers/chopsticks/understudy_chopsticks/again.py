@@ -153,7 +153,11 @@ class Again(Memory):
         if self._new:
             new["given_up"].zero_()
         stopped = new["plan_stopped"] >= 0
+        begun = ~stopped & (planned_leg > new["leg_begun"])
+        new["leg_begun"] = torch.where(stopped, new["leg_begun"], planned_leg)
         failed = (object_distance > self._options.distance) | (leg_missed > 0)
+        if self._onward:  # what begins is planned from where the object lies, wherever that is
+            failed &= ~begun
         failed &= ~stopped & (new["replans"] < self._most) & (new["given_up"] == 0)
         time = episode_time - new["plan_since"]
         new["plan_stopped"] = torch.where(failed, time, new["plan_stopped"])
@@ -168,11 +172,11 @@ class Again(Memory):
         for world in (ready | late).nonzero()[:, 0].tolist():  # an evaluation's, and few
             thing = qpos[world, self._at : self._at + 7].double().cpu()
             frame = round((float(new["plan_stopped"][world]) + SLOWING) / DT)
-            old, row = int(new["followed"][world]), None
+            old, leg, row = int(new["followed"][world]), int(new["leg_begun"][world]), None
             if ready[world] and self.target is not None:
-                row = self._toward(old, world, frame, thing, along[world], anew=True)
+                row = self._toward(old, world, frame, leg, thing, along[world], anew=True)
             elif ready[world]:
-                row = self._bank.again(old, world, frame, thing[:3], thing[3:], along[world])
+                row = self._bank.again(old, world, frame, leg, thing[:3], thing[3:], along[world])
             if row is None:
                 new["given_up"][world] = 1.0
                 if self.target is None:  # else it stands still
@@ -183,18 +187,16 @@ class Again(Memory):
             new["replans"][world] += 1.0
         if self._new and bool(plan_over[0] > 0) and bool(new["plan_stopped"][0] < 0):
             thing = qpos[0, self._at : self._at + 7].double().cpu()
-            row = self._toward(
-                int(new["followed"][0]), 0, round(float(time[0]) / DT), thing, along[0]
-            )
+            old, leg = int(new["followed"][0]), int(new["leg_begun"][0])
+            row = self._toward(old, 0, round(float(time[0]) / DT), leg, thing, along[0])
             if row is not None:
                 new["followed"][0], new["plan_since"][0] = row, episode_time[0]
         if self._onward:
-            begun = (planned_leg > new["leg_begun"]) & (new["plan_stopped"] < 0)
-            new["leg_begun"] = torch.where(begun, planned_leg, new["leg_begun"])
             for world in begun.nonzero()[:, 0].tolist():
                 thing = qpos[world, self._at : self._at + 7].double().cpu()
                 old, frame = int(new["followed"][world]), round(float(time[world]) / DT)
-                row = self._bank.onward(old, world, frame, thing[:3], thing[3:], along[world])
+                leg = int(planned_leg[world])
+                row = self._bank.onward(old, world, frame, leg, thing[:3], thing[3:], along[world])
                 if row is None:
                     new["given_up"][world] = 1.0
                     continue
@@ -205,13 +207,20 @@ class Again(Memory):
         }
 
     def _toward(
-        self, old: int, world: int, frame: int, thing: Tensor, along: float, anew: bool = False
+        self,
+        old: int,
+        world: int,
+        frame: int,
+        leg: int,
+        thing: Tensor,
+        along: float,
+        anew: bool = False,
     ) -> int | None:
         assert self.target is not None
         self._new, self.refused = False, ""
         try:
             return self._bank.toward(
-                old, world, frame, thing[:3], thing[3:], self.target, along, anew
+                old, world, frame, leg, thing[:3], thing[3:], self.target, along, anew
             )
         except NoPlan as refused:
             self.refused = str(refused)

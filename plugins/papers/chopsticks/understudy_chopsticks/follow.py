@@ -34,7 +34,7 @@ class Follow(Fields):
     """
 
     reads = (
-        "followed", "plan_since", "plan_stopped", "stopped_since", "episode_time", "xpos", "xquat",
+        "followed", "plan_since", "plan_stopped", "stopped_since", "leg_begun", "episode_time", "xpos", "xquat",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         **PLANNED,
@@ -89,6 +89,7 @@ class Follow(Fields):
         plan_since: Tensor,
         plan_stopped: Tensor,
         stopped_since: Tensor,
+        leg_begun: Tensor,
         episode_time: Tensor,
         xpos: Tensor,
         xquat: Tensor,
@@ -119,7 +120,9 @@ class Follow(Fields):
         held, now = here[:, 0, HELD] * goes, lower[:, 0]
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
-        thing, leg = here[:, 1:, OBJECT], here[:, 0, LEG]
+        thing = here[:, 1:, OBJECT]
+        # As it slows down it may come to frames of the next relocation, which has not begun.
+        leg = torch.where(goes, here[:, 0, LEG], leg_begun)
         return {
             "planned_angle": angle[:, 0],
             "planned_targets": torch.cat(

@@ -220,19 +220,18 @@ class Bank:
         self.starts[row] = torch.tensor(start, dtype=torch.float32, device=self._device)
 
     def again(
-        self, row: int, world: int, frame: int, place: Tensor, turn: Tensor, along: float
+        self, row: int, world: int, frame: int, leg: int, place: Tensor, turn: Tensor, along: float
     ) -> int | None:
-        """The row of `world` itself with the plan `row` made anew at its frame `frame`, without noise: from where the arm is planned
-        then, the tool is held (`along` m further), and the object is, at `place` (3,) m turned by `turn` (4,). None where there is no
-        such plan.
+        """The row of `world` itself with the plan `row` made anew at its frame `frame`, from the relocation number `leg` on, without
+        noise: from where the arm is planned then, the tool is held (`along` m further), and the object is, at `place` (3,) m turned by
+        `turn` (4,). None where there is no such plan, or something lay upon the object, which may have fallen.
         """
         frame = min(frame, int(self.lengths[row]))
         here = self.frames[row, frame].double().cpu()
-        leg = int(here[LEG])
         planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         shape = self._shapes[row]
-        if abs(float(place[2]) - shape.height) > ON_TABLE:
+        if abs(float(place[2]) - shape.height) > ON_TABLE or self._above is not None:
             return None
         known = leg + 1 if self.one_by_one else self._relocations
         goals = [(float(x), float(y)) for x, y in self.goals[row, leg:known, :2]]
@@ -240,8 +239,9 @@ class Bank:
         plans: list[Plan] = []
         try:
             for k, goal in enumerate(goals):
-                table = Table((shape,), (start,), (heading,))
-                plan = planner.plan(table.task(0, goal), now, table.without(0), anew=k == 0)
+                table = self._table(shape, start, heading, goal)
+                task = table.task(0, goal, self._upon)
+                plan = planner.plan(task, now, table.without(0), anew=k == 0)
                 plans.append(plan)
                 now, heading = plan.end, float(rotations.heading(plan.object[-1, 3:]))
                 start = goal
@@ -249,12 +249,14 @@ class Bank:
             return None
         own = self.drawn + world
         self._copy(row, own, along)
+        for k, plan in enumerate(plans, leg):  # as high as this object lies
+            self.goals[own, k:] = plan.object[-1, :3].float().to(self._device)
         return own if self._put(own, plans, leg) else None
 
     def onward(
-        self, row: int, world: int, frame: int, place: Tensor, turn: Tensor, along: float
+        self, row: int, world: int, frame: int, leg: int, place: Tensor, turn: Tensor, along: float
     ) -> int | None:
-        """The row of `world` itself with the relocation that begins with the frame `frame` of the plan `row`: from where the arm is planned
+        """The row of `world` itself with the relocation number `leg`, which begins with the frame `frame` of the plan `row`: from where the arm is planned
         then, the tool is held (`along` m further), and the object lies, to a goal that is drawn now. None where there is no such plan.
         """
         for number in range(_TRIES):
@@ -262,7 +264,7 @@ class Bank:
             empty = Table((self._shapes[row],), ((9.0, 9.0),), (0.0,))
             goal = random_goal(empty, 0, random.generator(self._seed, name))
             try:
-                found = self.toward(row, world, frame, place, turn, goal, along)
+                found = self.toward(row, world, frame, leg, place, turn, goal, along)
             except NoPlan:
                 continue
             self._onwards += 1
@@ -274,13 +276,14 @@ class Bank:
         row: int,
         world: int,
         frame: int,
+        leg: int,
         place: Tensor,
         turn: Tensor,
         goal: tuple[float, float],
         along: float,
         anew: bool = False,
     ) -> int:
-        """The row of `world` itself with a plan to `goal` m: from where the arm is in the plan `row` at its frame `frame`, the tool is
+        """The row of `world` itself with a plan to `goal` m, its relocation number `leg`: from where the arm is in the plan `row` at its frame `frame`, the tool is
         held (`along` m further), and the object lies; `anew` where something has failed, or where the tool that let go of the object still
         touches it: then it opens and goes up first.
 
@@ -310,7 +313,7 @@ class Bank:
                 plan = planner.plan(task, now, rest, anew=True)
             except NoPlan:
                 raise refused from None
-        own, leg = self.drawn + world, int(here[LEG])
+        own = self.drawn + world
         if not self._put(own, [plan], leg):
             raise NoPlan("No plan reaches the goal in time. Choose another goal.")
         self._copy(row, own, along)

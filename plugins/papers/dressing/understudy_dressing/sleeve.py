@@ -16,6 +16,7 @@ from understudy.options import check_range
 from understudy.task import Context
 from understudy_cloth.scene import ClothModel, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
+from understudy_cloth.weight import sub_steps_needed
 from understudy_dressing.body import Side, tools
 from understudy_dressing.garment import Alone, GarmentScene
 from understudy_warp_torch.tools import Tool
@@ -44,9 +45,10 @@ class HangingScene(GarmentScene):
 
     def settled(self, seconds: float = 1.0) -> np.ndarray:
         """(V, 3) m: as it hangs from a gripper at the origin after so many seconds (paper: 1), alone."""
-        scene = Alone(self.hanging((Tool(()),)))
+        model, period = self.hanging((Tool(()),)), 0.01
+        substeps = max(10, math.ceil(period * sub_steps_needed(model)))
         context = Context(
-            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.01, substeps=10, scene=scene,
+            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=period, substeps=substeps, scene=Alone(model),
         )  # fmt: skip
         options = ClothSimulator.Options(self_contact=False)
         simulator = ClothSimulator(options, context)

@@ -75,6 +75,8 @@ class ClothScene(Scene):
     recorded = ("cloth_position", "tool_position", "tool_orientation")
     #: m: how high the floor is that pictures have; None: there is none.
     floor: float | None = None
+    #: What gives it shorter sub-steps, for messages.
+    finer: str = "control.substeps or control.frequency; of a composite's member scene.steps.MEMBER"
 
     @abstractmethod
     def model(self) -> ClothModel:

@@ -29,6 +29,7 @@ from understudy_cloth.mesh import (
 )
 from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
+from understudy_cloth.weight import check_sub_step
 from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
@@ -96,7 +97,7 @@ class ClothSimulator(WarpSimulator):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(ClothScene, "simulator 'cloth'")
         self.model = model = scene.model()
-        self._options = options
+        self._options, self._finer = options, scene.finer
         super().__init__(context)
         with self._warp.scope():
             self._cloth, self._features, self._first = self._build(model)
@@ -178,6 +179,7 @@ class ClothSimulator(WarpSimulator):
         pinned = _indices(model.pinned, v, "pinned")
         members = [_indices(grip.vertices, v, f"of grip {k}") for k, grip in enumerate(model.grips)]
         self._check(model, pinned, members)
+        check_sub_step(model, self._dt, self._finer)
         threads, bent = self._device.type == "cuda", f if fabric.bending else 0
         found = distances_of(faces, corners, threads)
         hinges = hinges_of(faces[:bent], corners[:bent], threads)

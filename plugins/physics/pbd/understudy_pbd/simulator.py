@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal
@@ -26,6 +27,12 @@ from understudy_warp_torch.world_state import WorldState
 _EXTENT, _SPEED = 1e3, 1e3
 #: Wider than any table, m.
 _OPEN = 1e9
+#: Of its own weight a pile becomes lower by this × layers × g Δt² / (width of a particle × iterations): an iteration passes
+#: on to the next layer alone what the one above fell. Measured on piles of 4 to 12 layers with 2 to 32 iterations: 0.7 to
+#: 1.3 of grains, 2 to 3 of those that springs tie, which share a correction with them.
+_GRAINS_SINK, _SPRINGS_SINK = 1.2, 3.0
+#: Lower by more than the first it is told, by more than the second refused: at its bottom particles overlap twice as much.
+_LOWER, _TOO_LOW = 0.15, 0.5
 
 
 class ParticleSimulator(WarpSimulator):
@@ -178,6 +185,9 @@ class ParticleSimulator(WarpSimulator):
         is_fluid = np.array([m.fluid is not None for m in materials])[material]
         if (mass[is_fluid] == 0).any():
             raise ConfigError("Particles of a fluid need a mass.")
+        if not is_fluid.all():  # a fluid is held up by its density
+            grains = np.asarray(model.positions, float)[~is_fluid]
+            self._check_sub_step(grains, 2 * float(radius[~is_fluid].max()))
         smoothing = fluids[0].smoothing if fluids else 0.0
         widest = (
             2
@@ -256,6 +266,27 @@ class ParticleSimulator(WarpSimulator):
             threads=threads if self._device.type == "cuda" else 1,
         )
         return s, features
+
+    def _check_sub_step(self, positions: np.ndarray, width: float) -> None:
+        """Refuse sub-steps in which piles as high as those of the `positions` (P, 3) m, of particles so wide, sink into
+        themselves; warn of those in which they give."""
+        columns = np.floor(positions[:, :2] / width)
+        layers = int(np.unique(columns, axis=0, return_counts=True)[1].max())
+        share = _SPRINGS_SINK if len(self.model.springs.pairs) else _GRAINS_SINK
+        share *= layers * float(np.linalg.norm(self.model.gravity))
+        share /= width * self._options.iterations
+        lower = share * self._dt**2
+        if lower <= _LOWER:
+            return
+        text = (
+            f"The particles' sub-step of {1e3 * self._dt:.3g} ms is too long: its own weight would make a pile of {layers} layers "
+            f"some {100 * min(lower, 1.0):.0f} % lower, where particles are {1e3 * width:.3g} mm wide. Let physics make "
+            f"{math.ceil(math.sqrt(share / _LOWER))} sub-steps a second or more (control.substeps or control.frequency), or "
+            "each of them more of the simulator's iterations."
+        )
+        if lower > _TOO_LOW:
+            raise ConfigError(text)
+        warnings.warn(text, stacklevel=2)
 
     def _seen_by_rules(self) -> Particles:
         """The system's arrays of the same names."""

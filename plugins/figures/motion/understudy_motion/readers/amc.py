@@ -174,7 +174,7 @@ def read_figure(path: Path) -> Figure:
     FileError
         missing, too large, or not a skeleton; names the line.
     """
-    text = decoded(read_bytes(path, MAX_SKELETON_BYTES))
+    text = decoded(read_bytes(path, MAX_SKELETON_BYTES, what="Skeleton"))
     return _FigureParser(path).parse(text.splitlines())
 
 
@@ -192,28 +192,43 @@ class _FigureParser:
         self._open: Bone | None = None
         self._children: dict[str, list[str]] = {}
         self._parent: dict[str, str] = {}
+        self._said: dict[str, set[str]] = {}
+        """What the units, the root and the open bone have said of themselves."""
+        self._hierarchy: list[tuple[int, list[str]]] = []
+        """Lines, by their numbers: bones may come after it."""
 
     def parse(self, lines: Sequence[str]) -> Figure:
         sections: dict[str, Callable[[list[str]], None]] = {
             ":units": self._units_line,
             ":root": self._root_line,
             ":bonedata": self._bone_line,
-            ":hierarchy": self._hierarchy_line,
+            ":hierarchy": lambda words: self._hierarchy.append((self._line, words)),
         }
-        section = None
+        section, missing = None, [":root", ":bonedata"]
         for number, line in enumerate(lines, start=1):
             self._line = number
             words = [word.strip('",') for word in _plain(line).split()]
             if not words:
                 continue
             if words[0].startswith(":"):
-                section = sections.get(words[0].lower())
+                key = words[0].lower()
+                section, missing = sections.get(key), [name for name in missing if name != key]
             elif section is not None:
                 section(words)
+        if missing:
+            raise FileError(f"Skeleton {self._path}: is no ASF: it has no section {missing[0]}.")
+        if not self._root.channels:
+            raise FileError(
+                f"Skeleton {self._path}: its section :root has no 'order', which says what the root's numbers are."
+            )
+        for number, words in self._hierarchy:
+            self._line = number
+            self._hierarchy_line(words)
         return self._figure()
 
     def _units_line(self, words: list[str]) -> None:
         key = words[0].lower()
+        self._once(":units", key)
         if key == "length":
             length = self._length_unit = self._numbers(words, 1)[0]
             if not 1e-6 <= length <= 1e6:
@@ -225,6 +240,7 @@ class _FigureParser:
 
     def _root_line(self, words: list[str]) -> None:
         key = words[0].lower()
+        self._once(":root", key)
         if key == "order":
             self._root.channels = self._channels(words, (*POSITIONS, *ROTATIONS))
         elif key == "axis":
@@ -238,15 +254,18 @@ class _FigureParser:
 
     def _bone_line(self, words: list[str]) -> None:
         key, bone = words[0].lower(), self._open
-        if key == "begin":
-            self._open = Bone("")
-        elif key == "end":
-            if bone is None or not bone.name:
-                self._fail("a bone ends that has no name")
-            self._open = None
-        elif bone is None:
+        if key in ("begin", "end"):
+            if bone is None and key == "end":
+                self._fail("a bone ends that has not begun")
+            if bone is not None:
+                self._check(bone)
+            self._open, self._said["bone"] = (Bone("") if key == "begin" else None), set()
+            return
+        if bone is None:
             self._fail("'begin' is expected")
-        elif key == "name":
+        if key in ("name", "direction", "length", "axis", "dof"):
+            self._once("bone", key)
+        if key == "name":
             if len(words) != 2 or self._known(words[1]) in self._bones:
                 self._fail("a bone's name must be one word that no other bone has")
             bone.name = words[1]
@@ -259,12 +278,31 @@ class _FigureParser:
                 bone.direction = tuple(part / size for part in bone.direction)
         elif key == "length":
             bone.length = self._numbers(words, 1)[0]
+            if bone.length < 0:
+                self._fail("a bone's length must be 0 or above")
         elif key == "axis":
             order = "".join(words[4:]) or "xyz"
             bone.axis_order = self._axis_order(order)
             bone.axis = self._numbers(words[:4], 3)
         elif key == "dof":
             bone.channels = self._channels(words, (*ROTATIONS, *SHIFTS))
+
+    def _check(self, bone: Bone) -> None:
+        """Refuse what has ended as a bone without saying all that one has to."""
+        for key in ("name", "direction", "length"):
+            if key not in self._said["bone"]:
+                what = f"bone '{bone.name}'" if bone.name else "a bone"
+                self._fail(f"{what} ends that has no {key}")
+        if bone.length > 0 and not any(bone.direction):
+            self._fail(f"bone '{bone.name}' has a length, and its direction is 0 0 0")
+
+    def _once(self, what: str, key: str) -> None:
+        """Refuse a statement that `what` has made before."""
+        if key in self._said.setdefault(what, set()):
+            self._fail(
+                f"'{key}' is said twice" + (" of a bone" if what == "bone" else f" in {what}")
+            )
+        self._said[what].add(key)
 
     def _hierarchy_line(self, words: list[str]) -> None:
         if words[0].lower() in ("begin", "end") and len(words) == 1:
@@ -281,6 +319,8 @@ class _FigureParser:
         self._children.setdefault(parent, []).extend(children)
 
     def _figure(self) -> Figure:
+        if self._open is not None:  # the last one, without an end
+            self._check(self._open)
         check_size(self._path, 1, tuple(self._bones))
         names: list[str] = []
         waiting = ["root"]
@@ -395,16 +435,20 @@ def _angles(bones: Sequence[Bone], values: Sequence[np.ndarray]) -> np.ndarray:
 
 def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool | None, float]:
     """The index of the first frame's line, whether angles are in degrees if it says so, and the frames per second."""
-    degrees, rate = None, DEFAULT_RATE
+    degrees, given = None, None
     for index, line in enumerate(lines):
         word = line.strip().lower()
         if _frame_number(word) is not None:
-            return index, degrees, rate
+            return index, degrees, given or DEFAULT_RATE
         if word in (":units", ":root", ":bonedata", ":hierarchy"):
             raise FileError(
                 f"Clip {path}: is a skeleton (ASF) without a motion; give the AMC that belongs to it."
             )
         if (key := word.replace(" ", "")) in (":degrees", ":radians"):
+            if degrees is (key == ":radians"):
+                raise FileError(
+                    f"Clip {path}: line {index + 1}: it says both :DEGREES and :RADIANS; keep the one that is so."
+                )
             degrees = key == ":degrees"
         elif said := _RATE.match(word):
             if not is_number(said[1]) or not 0.0 < float(said[1]) <= 1e6:
@@ -412,6 +456,11 @@ def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool | None, float]:
                     f"Clip {path}: line {index + 1}: {shown(said[1])} is no number of frames per second."
                 )
             rate = float(said[1])
+            if given not in (None, rate):
+                raise FileError(
+                    f"Clip {path}: line {index + 1}: it says both {given:g} and {rate:g} frames per second."
+                )
+            given = rate
             if why := no_rate(rate):
                 raise FileError(f"Clip {path}: line {index + 1}: {rate:g} is no rate: {why}.")
         elif word and not word.startswith(("#", ":")):
@@ -446,10 +495,12 @@ def _values(
         if _frame_number(row) is not None:
             break
         name = row.split()[0]
-        if name not in by_name or name in listed:
+        if name in listed:
+            raise FileError(f"Clip {path}: {shown(name)} is listed twice in its first frame.")
+        if name not in by_name:
             raise FileError(
                 f"Clip {path}: {shown(name)} in its first frame is not one of the moving bones of "
-                f"{figure_path}, or is listed twice. Give the ASF that belongs to it: motion.skeleton=PATH (--skeleton)."
+                f"{figure_path}. Give the ASF that belongs to it: motion.skeleton=PATH (--skeleton)."
             )
         listed.append(name)
     if missing := next((name for name in by_name if name not in listed), None):
@@ -537,7 +588,8 @@ def _fault(
         words = row.split()
         if words[0] != name or len(words) != count + 1 or not all(map(is_number, words[1:])):
             return (
-                f"line {number}: '{name}' and {count} finite numbers are expected, not {shown(row)}"
+                f"line {number}: '{name}' and {count} finite number{'s' * (count > 1)} are "
+                f"expected, not {shown(row)}"
             )
     return "its last frame is incomplete"
 

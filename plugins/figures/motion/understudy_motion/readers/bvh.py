@@ -239,6 +239,8 @@ class _Hierarchy:
                     self._fail(f"joint '{joint.name}' has two OFFSETs")
                 joint.offset = self._vector()
             elif word in ("CHANNELS", "CHANNEL"):
+                if any(owner == open_joints[-1] for owner, _ in self.columns):
+                    self._fail(f"joint '{joint.name}' has two CHANNELS")
                 joint.channels = self._channels()
                 self.columns.append((open_joints[-1], joint.channels))
             elif word.startswith(("END", "SITE")):
