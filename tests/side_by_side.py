@@ -82,7 +82,7 @@ def prepare() -> None:
 
     readers.server()
     import warm  # noqa: F401
-    from hypothesis import given, settings, strategies
+    from hypothesis import configuration, given, settings, strategies
 
     from understudy.setup.plugins import installed
 
@@ -94,6 +94,7 @@ def prepare() -> None:
     # hypothesis looks through all of Unicode and all modules, once it draws texts and many numbers
     drawing = given(strategies.text(), strategies.lists(strategies.integers(), min_size=200))
     settings(max_examples=2, database=None, derandomize=True)(drawing(lambda text, numbers: None))()
+    configuration.notice_initialization_restarted(warn=False)  # its plugin of pytest would
     gc.freeze()
 
 
