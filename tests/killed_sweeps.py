@@ -59,13 +59,20 @@ def check_as_never_killed(folder: Path, straight: Path, trials: int) -> None:
     assert (folder / "summary.json").read_text() == (straight / "summary.json").read_text()
 
 
+def never_killed(search: Sequence[str], folder: Path) -> Path:
+    """`folder` with the sweep, which ran to its end at once."""
+    assert main(["sweep", *search, f"run.dir={folder}"]) == 0
+    return folder
+
+
 def check_kills(
-    search: Sequence[str], trials: int, executor: str, count: int, folder: Path
+    search: Sequence[str], trials: int, executor: str, count: int, straight: Path, killed: Path
 ) -> None:
-    """Each kill is a SIGKILL of a real sweep; one worker, since with several the order in which
-    trials end, and with it what a search asks for, is up to the machine."""
-    straight, killed = folder / "straight", folder / "killed"
-    assert main(["sweep", *search, f"run.dir={straight}"]) == 0
+    """Kill the sweep `count` times, go on in `killed`, and compare with one that never was, `straight`.
+
+    Each kill is a SIGKILL of a real sweep; one worker, since with several the order in which
+    trials end, and with it what a search asks for, is up to the machine.
+    """
     share = done(straight) // (count + 1)  # so that it is still running at the last kill
     command = ["sweep", *search, f"executor={executor}", f"run.dir={killed}"]
     if executor == "processes":

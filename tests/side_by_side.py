@@ -81,8 +81,8 @@ def prepare() -> None:
     import readers
 
     readers.server()
-    import hypothesis  # noqa: F401
     import warm  # noqa: F401
+    from hypothesis import configuration, given, settings, strategies
 
     from understudy.setup.plugins import installed
 
@@ -91,6 +91,10 @@ def prepare() -> None:
             continue
         with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
             _ = component.factory
+    # hypothesis looks through all of Unicode and all modules, once it draws texts and many numbers
+    drawing = given(strategies.text(), strategies.lists(strategies.integers(), min_size=200))
+    settings(max_examples=2, database=None, derandomize=True)(drawing(lambda text, numbers: None))()
+    configuration.notice_initialization_restarted(warn=False)  # its plugin of pytest would
     gc.freeze()
 
 

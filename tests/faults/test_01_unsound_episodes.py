@@ -87,7 +87,8 @@ def test_a_simulator_is_named(wrong: Plugins) -> None:
 
 def test_a_training_of_some_goes_on(wrong: Plugins) -> None:
     """A third of all episodes, those of every eighth world, which end early."""
-    training = make_training(wrong, [*TASK, "+reward.terms.wrong={name: wrong/reward, every: 8}"])
+    words = [*TASK, "budget.samples=5500", "+reward.terms.wrong={name: wrong/reward, every: 8}"]
+    training = make_training(wrong, words)
     assert training.train() == "budget"
     assert training.iterate()["episode/unsound"] > 0
 

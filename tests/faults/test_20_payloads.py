@@ -193,8 +193,8 @@ def executes(source: str) -> list[int]:
             isinstance(value, ast.Constant) and value.value is False for value in said
         )
 
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
+    nodes = list(ast.walk(ast.parse(source)))
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 names[alias.asname or alias.name.partition(".")[0]] = (
@@ -208,12 +208,12 @@ def executes(source: str) -> list[int]:
                 found |= {node.lineno} if bad(path) and path != "numpy.load" else set()
     plain = {
         id(node.func)
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Call)
         and path_of(node.func) == "numpy.load"
         and without_pickle(node)
     }
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, (ast.Name, ast.Attribute)) and bad(path_of(node)):
             found |= set() if id(node) in plain else {node.lineno}
         elif (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from killed_sweeps import check_kills, rows
+from killed_sweeps import check_kills, never_killed, rows
 
 #: The search of the thesis, with DeepMimic's walk as its task, made small: six trials, of which the last
 #: is at full difficulty and begins from an earlier one.
@@ -32,7 +32,8 @@ WALK = (
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("executor", ["in_process", "processes"])
 def test_the_walk_killed_at_random_moments(executor: str, tmp_path: Path) -> None:
-    check_kills(WALK, 6, executor, 10, tmp_path)
+    straight = never_killed(WALK, tmp_path / "straight")
+    check_kills(WALK, 6, executor, 10, straight, tmp_path / "killed")
     asked = [r["trial"] for r in rows(tmp_path / "killed") if r["event"] == "asked"]
     assert asked[-1]["fidelity"] == 1.0
     assert asked[-1]["start"]["trial"] in [t["key"] for t in asked[:-1]]

@@ -21,6 +21,8 @@ from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 
 QUICK = (
+    "learner.rollout_steps=8",
+    "learner.minibatches=1",
     "budget.samples=512",
     "evaluation.criterion=null",
     "evaluation.every_samples=512",

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from commands import begin
 from executors import ENDLESS, SMALL_STOP, iterations
-from killed_sweeps import check_kills, rows
+from killed_sweeps import check_kills, never_killed, rows
 
 from understudy.command.cli import main
 from understudy.errors import PreemptedError
@@ -32,6 +34,17 @@ SEARCH = (
 )
 
 
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Of a search's words: the folder of a sweep that was never killed, which is only read."""
+
+    @functools.cache
+    def made(*search: str) -> Path:
+        return never_killed(search, tmp_path_factory.mktemp("straight") / "sweep")
+
+    return made
+
+
 @pytest.mark.parametrize(
     ("executor", "count"),
     [
@@ -41,9 +54,12 @@ SEARCH = (
         pytest.param("processes", 10, marks=pytest.mark.slow),
     ],
 )
-def test_killed_at_random_moments(executor: str, count: int, tmp_path: Path) -> None:
+def test_killed_at_random_moments(
+    executor: str, count: int, straight: Callable[..., Path], tmp_path: Path
+) -> None:
     longer = ["budget.samples=16384"] if count == 10 else []
-    check_kills([*SEARCH, *longer], 4, executor, count, tmp_path)
+    search = [*SEARCH, *longer]
+    check_kills(search, 4, executor, count, straight(*search), tmp_path / "killed")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

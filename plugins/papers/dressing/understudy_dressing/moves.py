@@ -24,6 +24,8 @@ TRUNK = 3  #: hinges of the trunk, which come first in a pose
 #: m: how far apart links stay that no joint connects, where there is room.
 APART = 0.003
 _WEIGHT = 3.0  #: of that, where a fingertip's error weighs 1
+#: A person's pose and what its cloth remembers.
+State = tuple[np.ndarray, Mapping[str, torch.Tensor]]
 
 
 class Moves:
@@ -74,6 +76,24 @@ class Moves:
     def hold(self, seconds: float, closed: tuple[bool, ...]) -> None:
         for _ in range(round(seconds / PERIOD)):
             self._step(self._pose, closed)
+
+    def state(self) -> State:
+        """The pose (22,) rad and all of the cloth, a copy.
+
+        Raises
+        ------
+        ConfigError
+            if the cloth flies apart.
+        """
+        pose, _ = self.found()
+        return pose.copy(), self._cloth.snapshot()
+
+    def go_on(self, state: State) -> None:
+        """Go on from there, as whoever came there would."""
+        pose, cloth = state
+        self._pose = pose.copy()
+        self._place(self._pose)
+        self._cloth.restore(cloth)
 
     def patch(self, side: Side) -> np.ndarray:
         """(3,) m: the middle of a patch of the hem."""

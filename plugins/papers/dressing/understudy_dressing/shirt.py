@@ -18,7 +18,7 @@ from understudy_cloth.patterns import Shirt, t_shirt
 from understudy_cloth.scene import ClothModel, Fabric, Grip
 from understudy_dressing.body import Side, tool_bodies, tools
 from understudy_dressing.garment import CutGarment
-from understudy_dressing.moves import Moves
+from understudy_dressing.moves import Moves, State
 from understudy_dressing.person import PersonScene, depth_in, neutral_pose
 from understudy_dressing.waypoints import DRESSED, HELD_AT, IN_SLEEVE, RAISED_AT, TUCKED_AT
 
@@ -130,6 +130,13 @@ class ShirtScene(CutGarment):
         return _settled(type(self), self.options, worn, side, arm, other_dressed)
 
 
+#: Which way of wearing it each begins from, and the places, m, that a hand goes to from there: the one that holds it, and then the
+#: other one, up between body and hem, not around the hem.
+_FROM: dict[Worn, tuple[Worn, tuple[tuple[float, float, float], ...]]] = {
+    "held": ("on_shoulders", (HELD_AT,)),
+    "tucked": ("held", TUCKED_AT),
+    "raised": ("tucked", RAISED_AT),
+}
 #: Whose hand each grip is, in the model's order.
 HOLDERS: tuple[Side, Side] = ("right", "left")
 
@@ -158,26 +165,15 @@ def _settled(
     kind: type[ShirtScene], options: ShirtScene.Options, worn: Worn, side: Side, arm: tuple[float, ...], other_dressed: bool
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """:meth:`ShirtScene.settled` of such a shirt, not to be written to."""
-    scene = kind(options)
-    moves = Moves(scene)
     holder: Side = "left" if side == "right" else "right"
     arms = {"in_sleeve": {side: arm}, "dressed": {side: DRESSED}}.get(worn, {})
     if other_dressed:
         arms = {**arms, holder: DRESSED}
-    if arms:
-        pose = moves.bent(arms)
-        moves = Moves(scene, pose, scene._drawn_over(pose))
-    moves.hold(_SETTLES, closed=(False, False))
-    closed = tuple(name == holder for name in HOLDERS)
-    mirrored = np.array([1.0, -1.0 if holder == "left" else 1.0, 1.0])
-    if worn != "on_shoulders":
-        moves.reach(holder, moves.patch(holder), _GOES, (False, False))
-        moves.reach(holder, mirrored * HELD_AT, _GOES, closed)
-    if worn in ("tucked", "raised"):  # up between body and hem, not around the hem
-        for place in TUCKED_AT + (RAISED_AT if worn == "raised" else ()):
-            moves.reach(side, mirrored * place, _GOES, closed)
-    if worn != "on_shoulders":
-        moves.hold(_HANGS, closed)
+    how: Worn = "held" if worn in ("in_sleeve", "dressed") else worn  # the arms apart
+    moves = Moves(kind(options))
+    moves.go_on(_put_on(kind, options, how, _holder(how, holder), tuple(sorted(arms.items()))))
+    if how != "on_shoulders":
+        moves.hold(_HANGS, _closed(holder))
     found = moves.found()
     for name in HOLDERS:
         if moves.through(name):
@@ -188,3 +184,40 @@ def _settled(
     for array in found:
         array.setflags(write=False)
     return found
+
+
+# most ways to wear it go on from another one
+@lru_cache(maxsize=16)
+def _put_on(
+    kind: type[ShirtScene], options: ShirtScene.Options, worn: Worn, holder: Side | None, arms: tuple[tuple[Side, tuple[float, ...]], ...]
+) -> State:  # fmt: skip
+    """Who wears such a shirt so far, with `arms` bent as it was put on, and its hem in that hand; not to be written to."""
+    scene = kind(options)
+    moves = Moves(scene)
+    if worn == "on_shoulders":
+        if arms:
+            pose = moves.bent(dict(arms))
+            moves = Moves(scene, pose, scene._drawn_over(pose))
+        moves.hold(_SETTLES, closed=(False, False))
+        return moves.state()
+    assert holder is not None
+    before, places = _FROM[worn]
+    moves.go_on(_put_on(kind, options, before, _holder(before, holder), arms))
+    mirrored = np.array([1.0, -1.0 if holder == "left" else 1.0, 1.0])
+    hand = holder
+    if worn == "held":
+        moves.reach(hand, moves.patch(hand), _GOES, (False, False))
+    else:
+        hand = "left" if holder == "right" else "right"
+    for place in places:
+        moves.reach(hand, mirrored * place, _GOES, _closed(holder))
+    return moves.state()
+
+
+def _holder(worn: Worn, holder: Side) -> Side | None:
+    """`holder`, if a hand holds what is worn so."""
+    return None if worn == "on_shoulders" else holder
+
+
+def _closed(holder: Side) -> tuple[bool, ...]:
+    return tuple(name == holder for name in HOLDERS)
