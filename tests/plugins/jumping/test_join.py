@@ -129,5 +129,5 @@ def test_a_run_that_was_rendered_by_other_words_says_where(jump: Path, tmp_path:
     rendered = run / "renders" / "device-cpu"
     rendered.mkdir(parents=True)
     (run / "recording.npz").rename(rendered / "recording.npz")
-    with pytest.raises(FileError, match=re.escape(f"rendered last, {rendered}")):
+    with pytest.raises(FileError, match=re.escape(f"by other words, such as {rendered}")):
         recorded_clips(run)

@@ -119,11 +119,15 @@ def test_the_take_off_reward_is_that_of_the_paper(scene: CharacterScene) -> None
     time = torch.tensor([3.328])
     away = (abs(0.5 + 3.0) + abs(-2.0 + 3.0) + abs(-0.2 - 1.0)) / 3
     for v_z, expected in ((-2.4, away + 0.7 * 1.4**2), (None, away)):
-        found = Arrival(Arrival.Options(v_z=v_z), context).compute(time, qpos, qvel)
+        arrival = Arrival(Arrival.Options(v_z=v_z, rest=0.0), context)
+        found = arrival.compute(time, qpos, qvel)
         np.testing.assert_allclose(found["runup_features"], [[-1.0, 0.5, -2.0, -0.2]], atol=1e-6)
         assert float(found["takeoff_match"]) == pytest.approx(math.exp(-expected))
         assert bool(found["arrived"])
-        reward = match(torch.tensor([False]), found["takeoff_match"])
-        assert float(reward) == 0.0, "before the end there is none"
-    early = Arrival(Arrival.Options(), context).compute(time - 0.1, qpos, qvel)
+        for ended, rest, of_it in ((False, 1.0, 0.0), (True, 1.0, 1.0), (True, 0.5, 0.5)):
+            reward = match(torch.tensor([ended]), found["takeoff_match"], torch.tensor([rest]))
+            paid = of_it * math.exp(-expected)
+            assert float(reward) == pytest.approx(paid), "before the end there is none"
+        assert float(found["takeoff_rest"]) == 1.0, "nothing of the rest is asked"
+    early = Arrival(Arrival.Options(rest=0.0), context).compute(time - 0.1, qpos, qvel)
     assert not bool(early["arrived"])

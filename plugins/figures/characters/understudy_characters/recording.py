@@ -102,9 +102,9 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
 
 def _another(run: Path) -> str:
     """Where the run in this folder has a recording, of a `render` with words of its own, or how to make one."""
-    rendered = sorted(run.glob("renders/*/recording.npz"), key=lambda file: file.stat().st_mtime)
+    rendered = sorted(run.glob("renders/*/recording.npz"))
     if rendered:
-        return f"name the one that was rendered last, {rendered[-1].parent}"
+        return f"name one that was rendered by other words, such as {rendered[0].parent}"
     return f"make one with `understudy render {run}`"
 
 

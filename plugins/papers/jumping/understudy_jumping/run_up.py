@@ -97,9 +97,11 @@ class Arrival(Fields):
         self._at, self._dof, self._options = layout.root_address, layout.root_dof, options
         self._omega = torch.tensor(options.omega, device=context.device)
         self._time = options.at - 0.5 * context.control_dt
-        at = torch.full((1,), options.at, device=context.device)
-        clip = reference_states(reference_motion(context), at)
-        self._clip = self._root(clip["qpos"], clip["qvel"])
+        self._clip = torch.zeros(1, 3, device=context.device)
+        if options.rest:
+            at = torch.full((1,), options.at, device=context.device)
+            clip = reference_states(reference_motion(context), at)
+            self._clip = self._root(clip["qpos"], clip["qvel"])
 
     def compute(self, motion_time: Tensor, qpos: Tensor, qvel: Tensor) -> dict[str, Tensor]:
         features = takeoff_features(
