@@ -113,6 +113,18 @@ def test_trainings_that_ended_before_the_tables_samples_are_told_of(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
+    ("word", "expected"),
+    [("budget.samples=1e6", 1e6), ("++budget.samples=2_000", 2000.0), ("budget.samples=null", None),
+     ("budget.samples=${more}", None), ("budget.minutes=5", None)],
+)  # fmt: skip
+def test_the_samples_that_a_cells_words_give(word: str, expected: float | None) -> None:
+    table = replace(TABLE, overrides=("budget.samples=7",), rows={"walk": (word,), "run": ()})
+    told = 7.0 if word.startswith("budget.minutes") else expected
+    assert table.samples("walk", "full") == told
+    assert table.samples("run", "full") == 7.0
+
+
+@pytest.mark.parametrize(
     ("full", "without", "expected"),
     [
         ((1e6, 1.1e6, 1.2e6), (2e6, 2.2e6, 2.1e6), ["holds", "holds"]),

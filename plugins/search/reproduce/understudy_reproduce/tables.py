@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -141,10 +142,16 @@ class PaperTable:
         }
 
     def samples(self, row: str, column: str) -> float | None:
-        """How many samples a cell's words give each training (``budget.samples``); None if they do not say."""
-        words = (*self.overrides, *self.rows[row], *self.columns[column])
-        given = [word.partition("=")[2] for word in words if word.startswith("budget.samples=")]
-        return float(given[-1]) if given and given[-1] != "null" else None
+        """How many samples a cell's words give each training (``budget.samples``); None if they do not say, or
+        in no number."""
+        pairs = [
+            word.lstrip("+").partition("=")
+            for word in (*self.overrides, *self.rows[row], *self.columns[column])
+        ]
+        given = [value for key, _, value in pairs if key == "budget.samples"]
+        with contextlib.suppress(IndexError, ValueError):
+            return float(given[-1])
+        return None
 
     def only(self, rows: Sequence[str], columns: Sequence[str], seeds: Sequence[int]) -> PaperTable:
         """The same of these rows, columns and seeds; of all where none are named.
