@@ -15,6 +15,7 @@ from recorded_runs import croucher_plugins, make_run, record, track
 
 from understudy.command import cli
 from understudy.setup import plugins
+from understudy_characters.recording import recorded_clips
 from understudy_doctor.findings import Severity
 from understudy_humanoid.character import build_spec
 from understudy_motion.clip import Clip
@@ -307,6 +308,28 @@ def test_what_a_run_learned_is_checked_by_its_own_character(
     mended = tmp_path / "mended.npz"
     cli.main(["motion", "check", str(run), "--fix", str(mended)])
     assert mended.exists()
+
+
+def test_a_clip_is_checked_on_the_character_of_a_run(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of which a clip that was written from the run says nothing."""
+    record(run, qpos=track(40), first_episode=40)
+    clip = tmp_path / "written.npz"
+    NpzWriter().write(recorded_clips(run)[0], clip)
+    cli.main(["motion", "check", str(clip), "--json"])
+    assert json.loads(capsys.readouterr().out)["character"] is None
+    cli.main(["motion", "check", str(clip), "--character", str(run), "--json"])
+    assert json.loads(capsys.readouterr().out)["character"] == "croucher"
+
+
+def test_a_folder_that_is_no_run_has_no_character(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], walk: Clip
+) -> None:
+    NpzWriter().write(walk, tmp_path / "walk.npz")
+    words = ["motion", "check", str(tmp_path / "walk.npz"), "--character", str(tmp_path)]
+    assert cli.main(words) == 2
+    assert "is no run folder" in capsys.readouterr().err
 
 
 def test_a_skill_is_checked_by_its_name(

@@ -13,8 +13,9 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.setup.building import build_scene
 from understudy.setup.config import Experiment
+from understudy.setup.registry import Registry
 from understudy.task import Scene
-from understudy_characters.character import Character
+from understudy_characters.character import Character, load_character
 from understudy_characters.scene import CharacterScene, other_bodies
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.limits import MAX_ROTATIONS
@@ -25,6 +26,7 @@ from understudy_mujoco.scene import MujocoScene
 __all__ = [
     "WITH_SURROUNDINGS",
     "check_frames",
+    "chosen_character",
     "recorded_clips",
     "recorded_fields",
     "recorded_scene",
@@ -51,6 +53,18 @@ def run_character(path: str | Path) -> Character:
         no MuJoCo model of one character.
     """
     return _character(unsimulated(runs.open_run(path)))
+
+
+def chosen_character(named: str, registry: Registry) -> Character:
+    """The character that a command's ``--character`` names: that of a run folder, a registered one, or
+    an MJCF or URDF file.
+
+    Raises
+    ------
+    UnderstudyError
+        as :func:`run_character` and :func:`understudy_characters.character.load_character`.
+    """
+    return run_character(named) if Path(named).is_dir() else load_character(named, registry)
 
 
 def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:

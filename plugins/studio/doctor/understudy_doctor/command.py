@@ -16,7 +16,7 @@ from understudy.folders import write_atomically
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
-from understudy_characters.recording import recorded_clips, run_character
+from understudy_characters.recording import chosen_character, recorded_clips, run_character
 from understudy_credits.walk import in_a_line, open_made
 from understudy_doctor.character_checks import missing_joints
 from understudy_doctor.examination import Examination, examine, final
@@ -45,7 +45,7 @@ class Check(Command):
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="the character, or MJCF file, that is to move like the clip; by default the run's own, or the "
+            help="the character, MJCF file, or run folder, whose body is to move like the clip; by default the run's own, or the "
             f"{DEFAULT_CHARACTER}, if the clip has its joints",
         )
         parser.add_argument("--json", action="store_true", help="print the findings as JSON")
@@ -108,7 +108,7 @@ def _moving(
 ) -> tuple[Clip, Character | None, float | None]:
     """What the command's arguments name, and the character that moves so: the one asked for, a run's own, or
     the default one if the clip has its joints. And the height of its floor, m, where physics has played it."""
-    named = options.character and load_character(options.character, registry)
+    named = options.character and chosen_character(options.character, registry)
     source = run_folder(options.clip, registry=registry)
     if (Path(source) / "run.json").is_file():
         refuse_reading(options, options.clip)

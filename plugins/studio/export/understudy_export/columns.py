@@ -25,7 +25,8 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.folders import write_atomically
 from understudy.setup.plugins import installed
-from understudy_characters.character import Character, load_character
+from understudy_characters.character import Character
+from understudy_characters.recording import chosen_character
 from understudy_export.command import timed
 from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.readers.angles import RATE
@@ -39,7 +40,9 @@ class ExportColumns(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
         parser.add_argument(
-            "character", metavar="CHARACTER", help="a robot's MJCF file, or its name"
+            "character",
+            metavar="CHARACTER",
+            help="a robot's MJCF file, its name, or a run folder of it",
         )
         parser.add_argument(
             "destination", metavar="OUT", type=Path, help="the table to write, .csv"
@@ -57,7 +60,7 @@ class ExportColumns(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry
-        character = load_character(options.character, registry)
+        character = chosen_character(options.character, registry)
         clip = timed(open_clip(options.clip, options, registry), rate=options.rate)
         names = joint_columns(character)
         qpos = root_first(character, character.qpos(clip).numpy())

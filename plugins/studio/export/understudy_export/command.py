@@ -15,11 +15,12 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy_characters.character import Character, load_character
+from understudy_characters.character import Character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import (
     WITH_SURROUNDINGS,
     check_frames,
+    chosen_character,
     recorded_clips,
     recorded_surroundings,
     run_character,
@@ -83,7 +84,7 @@ class Export(Command):
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="the figure that is written: a character, an MJCF file, or none for bones; by default "
+            help="the figure that is written: a character, an MJCF file, that of a run folder, or none for bones; by default "
             "the run's, or the one that the clip fits",
         )
         parser.add_argument("--rate", type=positive, metavar="HZ", help="frames per second")
@@ -132,7 +133,7 @@ class Export(Command):
         if options.character == BONES:
             character = None
         elif options.character is not None:
-            character = load_character(options.character, registry)
+            character = chosen_character(options.character, registry)
         if character is not None:
             clip = worn(clip, character)
         clip = timed(clip, rate=options.rate, seconds=options.seconds, cycles=options.cycles)

@@ -15,7 +15,7 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy_characters.character import load_character
+from understudy_characters.recording import chosen_character
 from understudy_doctor.clip_checks import check_clip
 from understudy_doctor.findings import Severity
 from understudy_motion.arguments import add_reading, open_clip
@@ -33,7 +33,11 @@ class Retarget(Command):
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
-        parser.add_argument("character", metavar="CHARACTER", help="a character, or an MJCF file")
+        parser.add_argument(
+            "character",
+            metavar="CHARACTER",
+            help="a character, an MJCF file, or a run folder of one",
+        )
         parser.add_argument(
             "destination", metavar="OUT", type=Path, help="the clip to write: .npz, .csv or .bvh"
         )
@@ -67,7 +71,7 @@ class Retarget(Command):
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry
         how = Options(map=_pairs(options.map), scale=options.scale)
-        character = load_character(options.character, registry)
+        character = chosen_character(options.character, registry)
         clip = _load(options, registry)
         for finding in check_clip(clip):
             if finding.severity == Severity.MAJOR:

@@ -34,7 +34,7 @@ class View(Command):
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="the figure that is shown: a character or an MJCF file; by default the run's, or the "
+            help="the figure that is shown: a character, an MJCF file, or that of a run folder; by default the run's, or the "
             "one that fits the clip",
         )
         parser.add_argument(

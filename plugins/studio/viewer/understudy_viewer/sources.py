@@ -11,10 +11,10 @@ import numpy as np
 from understudy.errors import UnderstudyError
 from understudy.records import runs
 from understudy.setup.registry import Registry
-from understudy_characters.character import Character, load_character
+from understudy_characters.character import Character
 from understudy_characters.fitting import fitting_character
 from understudy_characters.overlay import Gauge, Region
-from understudy_characters.recording import recorded_clips, run_character
+from understudy_characters.recording import chosen_character, recorded_clips, run_character
 from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive
 from understudy_viewer.stage import Scene, Subject
@@ -45,7 +45,7 @@ def open_scene(
     UnderstudyError
         a source is none, cannot be read, or is not a motion of the character.
     """
-    chosen = None if character is None else load_character(character, registry)
+    chosen = None if character is None else chosen_character(character, registry)
     if len(sources) == 1 and Path(sources[0]).is_dir():
         return _run(Path(sources[0]), registry, chosen)
     return Scene([_subject(source, registry, read, chosen) for source in sources])
