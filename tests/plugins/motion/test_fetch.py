@@ -32,7 +32,7 @@ from understudy.setup import plugins
 from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
-from understudy_motion.fetch import cmu, command, download
+from understudy_motion.fetch import cmu, command, download, jump
 from understudy_motion.fetch import deepmimic as published
 from understudy_motion.limits import read_bytes
 from understudy_motion.origin import provenance, read_record, record_path
@@ -230,6 +230,21 @@ def test_names_of_deepmimics_clips(text: str, clips: list[str]) -> None:
     assert published.clips(text) == clips
 
 
+@pytest.mark.parametrize(
+    ("text", "clips"),
+    [
+        ("VC5_sprint__curves_03", ["VC5_sprint__curves_03"]),
+        ("jump/VC5_Run_jumpToBox_01", ["VC5_Run_jumpToBox_01"]),
+        ("VC5_", []),
+        ("VC5_../walk", []),
+        ("VC5_sprint__curves_03.txt", []),
+        ("humanoid3d_walk", []),
+    ],
+)
+def test_names_of_the_jumping_papers_clips(text: str, clips: list[str]) -> None:
+    assert jump.clips(text) == clips
+
+
 @pytest.mark.parametrize("text", ["02_05..02_01", "02_01..03_01", "00_01", "145_01"])
 def test_clips_that_cannot_be_are_refused(text: str) -> None:
     with pytest.raises(FileError, match=f"'{re.escape(text)}'"):
@@ -243,6 +258,12 @@ def test_official_addresses() -> None:
     (walk,) = command.wanted(["humanoid3d_walk"])
     assert walk.addresses[0] == (
         "https://raw.githubusercontent.com/xbpeng/DeepMimic/master/data/motions/humanoid3d_walk.txt"
+    )
+    (run_up,) = command.wanted(["VC5_sprint__curves_03"])
+    assert re.fullmatch(
+        r"https://raw\.githubusercontent\.com/arpspoof/Jump/[0-9a-f]{40}/data/motions/beyond/"
+        r"VC5_sprint__curves_03\.txt",
+        run_up.addresses[0],
     )
 
 
@@ -392,17 +413,31 @@ def still() -> bytes:
     return json.dumps({"Loop": "none", "Frames": [pose, pose]}).encode()
 
 
-@pytest.mark.parametrize("where", ["/data/motions/", "/"])
-def test_a_clip_of_deepmimic(
-    site: Site, data: Path, capsys: pytest.CaptureFixture[str], where: str
+@pytest.mark.parametrize(
+    ("collection", "name", "where", "licence"),
+    [
+        ("deepmimic", "humanoid3d_still", "/data/motions/", "2018 Xue Bin Peng"),
+        ("deepmimic", "humanoid3d_still", "/", "2018 Xue Bin Peng"),
+        ("jump", "VC5_still__01", "/data/motions/beyond/", "2021 arpspoof"),
+        ("jump", "VC5_still__01", "/", "2021 arpspoof"),
+    ],
+)
+def test_a_clip_of_deepmimics_humanoid(
+    site: Site,
+    data: Path,
+    capsys: pytest.CaptureFixture[str],
+    collection: str,
+    name: str,
+    where: str,
+    licence: str,
 ) -> None:
-    site.files[f"{where}humanoid3d_still.txt"] = still()
-    fetched("humanoid3d_still", "--from", site.address)
-    path = data / "motions" / "deepmimic" / "humanoid3d_still.txt"
+    site.files[f"{where}{name}.txt"] = still()
+    fetched(name, "--from", site.address)
+    path = data / "motions" / collection / f"{name}.txt"
     assert path.read_bytes() == still()
-    assert capsys.readouterr().out.splitlines()[-1] == "Use it with motion.name=humanoid3d_still"
+    assert capsys.readouterr().out.splitlines()[-1] == f"Use it with motion.name={name}"
     motion = Motion(MotionOptions(name=path.stem), plugins.installed().registry, Inputs())
-    assert motion.provenance()["licence"] == "MIT License, copyright (c) 2018 Xue Bin Peng"
+    assert motion.provenance()["licence"] == f"MIT License, copyright (c) {licence}"
 
 
 def test_an_address_with_terms(site: Site, data: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,13 +29,13 @@ from understudy.errors import ConfigError, FileError, RunError
 from understudy.folders import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
-from understudy_motion.fetch import cmu, deepmimic, download
+from understudy_motion.fetch import cmu, deepmimic, download, jump
 from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.limits import read_bytes
 from understudy_motion.origin import RECORD_SUFFIX, read_record, record_path
 from understudy_motion.reading import ReadOptions, UnknownFormatError, reader_of
 
-PUBLISHERS = (cmu, deepmimic)
+PUBLISHERS = (cmu, deepmimic, jump)
 """Who publishes clips that are known by name."""
 SUMS = "SHA256SUMS"
 MAX_SUMS_BYTES = 2**24
@@ -69,7 +69,8 @@ class Wanted:
 
 
 class Fetch(Command):
-    """Downloads clips of the CMU database and of DeepMimic by name, and of any other place by address."""
+    """Downloads clips of the CMU database, of DeepMimic and of the jumping paper by name, and of any other
+    place by address."""
 
     example = "understudy motion fetch 02_01"
 
@@ -79,7 +80,8 @@ class Fetch(Command):
             nargs="+",
             metavar="NAME_OR_URL",
             help="a clip of the CMU Graphics Lab Motion Capture Database (02_01), several of one "
-            "subject (02_01..02_05), one of DeepMimic (humanoid3d_walk), or an http(s) address",
+            "subject (02_01..02_05), one of DeepMimic (humanoid3d_walk), one of the jumping paper "
+            "(VC5_sprint__curves_03), or an http(s) address",
         )
         parser.add_argument(
             "--from",
@@ -91,8 +93,8 @@ class Fetch(Command):
             "--to",
             type=Path,
             metavar="FOLDER",
-            help="destination; by default motions/cmu or motions/deepmimic, for addresses "
-            "motions/fetched, of the working folder",
+            help="destination; by default motions/cmu, motions/deepmimic or motions/jump, for "
+            "addresses motions/fetched, of the working folder",
         )
         parser.add_argument(
             "--sha256", metavar="DIGEST", help="what the clip's digest must be (of one clip only)"
