@@ -2,7 +2,7 @@
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "networks", "skills", "tensors", "terms", "mujoco", "motion", "characters", "humanoid", "judging", "ppo", "deepmimic", "pose_vae",
+    "networks", "skills", "tensors", "terms", "curricula", "mujoco", "motion", "characters", "humanoid", "judging", "ppo", "deepmimic", "pose_vae",
     "report", "reinforcement",
 )  # fmt: skip
 
