@@ -79,8 +79,9 @@ class ClothSimulator(WarpSimulator):
     @dataclass(frozen=True)
     class Options:
         self_contact: bool = True  #: whether layers keep apart; on a GPU 1.7 times the time
-        every: int = 10  #: sub-steps between searches for what may touch
-        #: sub-steps from one sweep over hinges to the next, in which they act for all of these at once; null:
+        #: sub-steps between searches for what may touch, of which each control period begins with one
+        every: int = 10
+        #: sub-steps of a control period from one sweep over hinges to the next, in which they act for all of these at once; null:
         #: as many as bending is soft enough for, within 2 ms (it costs most of a sub-step)
         bending_every: int | None = None
         #: M, vertices of other layers that one may touch until the next search

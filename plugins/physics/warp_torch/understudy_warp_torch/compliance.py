@@ -59,7 +59,7 @@ class Loads:
     """Counts the steps of worlds whose gravity and accelerating tools load sub-steps of `dt` s with more than would be told.
 
     What lasts shorter than :meth:`Compliance.response` counts the less: it is over before the material has given way. (Of what
-    is taken back at once, as a jerk of one step, it makes up to twice too much.)
+    is taken back at once, as a jerk of one step, it makes up to twice too much; and what a tool turns by is not counted.)
     """
 
     def __init__(
