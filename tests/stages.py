@@ -20,6 +20,9 @@ COARSE = ("simulators.person={name: mujoco}", "scene.steps.cloth=3")
 
 _BANK = ("job.moment=anywhere", "job.ending=any", "job.count=8", "device=cpu", "num_worlds=4")
 
+#: A generated run in place of the captured one, whose clip is not everywhere.
+_RUN = ("motion.name=run", "fields.arrival.at=2.0")
+
 #: Each stage: its words, RUNS standing for the folder of all.
 STAGES = {
     "walk": ("experiment=sitting/walk",),
@@ -31,6 +34,9 @@ STAGES = {
     "dressed": ("experiment=dressing/sleeve", *COARSE),
     "shirt": ("experiment=dressing/shirt_grip", *COARSE),
     "second": ("experiment=miniature/second_place",),
+    "run_up": ("experiment=jumping/run_up_small", *_RUN),
+    "run_up_end": ("job=harvest", "job.run=RUNS/run_up", *_BANK),
+    "jump": ("experiment=jumping/high_small",),
 }  # fmt: skip
 
 _ONE_SAMPLE = (
@@ -41,6 +47,12 @@ _ONE_SAMPLE = (
 
 _STAGE = "{{run: RUNS/{run}, until: {{field: {name}_distance, at_most: 0.2}}, seconds: 3, reads: {{offset: {name}_offset}}}}"
 
+_RUN_UP = (
+    "{run: RUNS/run_up, until: {field: arrived, at_least: 1}, seconds: 5, reads: {reference_root_position: approached_position, "
+    "reference_root_heading: approached_heading}}"
+)
+_JUMP = "{run: RUNS/jump, until: {field: landed, at_least: 1}, seconds: 1.99}"
+
 #: What experiments are given, by pattern.
 GIVEN = {
     "miniature/sitting": ("actuation.runs=[RUNS/go,RUNS/stop]",),
@@ -49,6 +61,11 @@ GIVEN = {
     "miniature/sleeve_bank": ("job.run=RUNS/sleeve",),
     "miniature/in_sequence": (
         f"actuation.stages=[{_STAGE.format(run='sleeve', name='first')},{_STAGE.format(run='second', name='second')}]",
+    ),
+    "jumping/in_one": (
+        "initial_states.file=RUNS/run_up_end",
+        f"actuation.stages=[{_RUN_UP}, {_JUMP}]",
+        *_RUN,
     ),
     "sitting/ends": ("job.run=RUNS/walk",),
     "sitting/switches": ("job.run=RUNS/meta", "job.value=3"),

@@ -53,7 +53,7 @@ ANY = {
     "motion.rate": "looked at where a file is read",
     "size": "of a bound, looked at where it is built",
     "reach": "by axis, looked at where it is built",
-    "robot.rest": "by link, looked at by the model's own ranges",
+    "robot.rest": "by hinge, refused beyond the model's own ranges",
     "run.video_camera": "degrees, round and round",
     "clip": "generated, looked at where it is drawn",
 }

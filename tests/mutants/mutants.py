@@ -28,6 +28,8 @@ SIGNALS = f"{KERNEL}/signals.py"
 MUJOCO = "plugins/physics/mujoco/understudy_mujoco/simulator.py"
 MJCF = "plugins/physics/mujoco/understudy_mujoco/mjcf.py"
 CLOTH = "plugins/physics/cloth/understudy_cloth"
+BANK = "plugins/learning/skills/understudy_skills/bank.py"
+WARP_TORCH = "plugins/physics/warp_torch/understudy_warp_torch"
 PPO = "plugins/learning/ppo/understudy_ppo/learner.py"
 OPTIMISERS = "plugins/learning/networks/understudy_networks/optimisers.py"
 CLIP = "plugins/figures/motion/understudy_motion/clip.py"
@@ -127,6 +129,14 @@ MUTANTS = (
            "_EXTENT, _SPEED = 1e6, 1e6", "tests/faults/test_04_diverging_particles.py"),
     Mutant("cloth may be rubber", f"{CLOTH}/weight.py", "_LONGER, _TOO_LONG = 0.1, 0.5", "_LONGER, _TOO_LONG = 0.1, 5e6",
            "tests/plugins/cloth/test_weight.py -k refused"),
+    Mutant("strangers' banks are as large as they say", BANK, "if len(held) > MOST or size > _MOST_BYTES:", "if False:",
+           "tests/plugins/skills/test_packed_banks.py -k strangers"),
+    Mutant("banks in packs are not looked at", BANK, "held = _checked(f\"'{str(name)[:40]}'\", bank[\"states\"], bank[\"of\"])",
+           'held = Held(bank["states"], bank["of"])', "tests/plugins/skills/test_packed_banks.py -k strangers"),
+    Mutant("no world's gravity is weighed", f"{WARP_TORCH}/simulator.py", "            compliance.check(strongest, self._dt, more)\n", "",
+           "tests/plugins/pbd/test_sub_steps.py -k strongest"),
+    Mutant("tools have no inertia", f"{WARP_TORCH}/compliance.py", "torch.where(carries[..., None], change / time, 0.0)", "0.0",
+           "tests/plugins/cloth/test_weight.py -k gripper"),
     Mutant("cloth may fly", f"{CLOTH}/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3", "_EXTENT, _SPEED = 1e6, 1e6",
            "tests/plugins/cloth/test_cloth_simulator.py -k fails_alone"),
     Mutant("what was searched is not kept", f"{CLOTH}/simulator.py", 'hidden["anchor"] = (wp.to_torch(c.anchor), (v, 3))', "pass",

@@ -72,6 +72,14 @@ def test_adaptive_rises_only_when_enough_episodes_went_well(by: Any, low: int, h
     assert curriculum.begin(STREAMS)["difficulty"].tolist() == [1.0, 1.0]
 
 
+def test_adaptive_begins_with_the_tasks_difficulty_at_most() -> None:
+    options = Adaptive.Options(threshold=0.5, start=0.3)
+    assert Adaptive(options, context(difficulty=0.3)).difficulty == 0.3
+    with pytest.raises(ConfigError, match=r"curriculum\.start=0\.3 is beyond difficulty=0\.2"):
+        Adaptive(options, context(difficulty=0.2))
+    assert Adaptive(options, context(difficulty=0.2, evaluating=True)).difficulty == 0.2
+
+
 def test_episodes_that_began_before_a_step_do_not_count_after_it() -> None:
     options = Adaptive.Options(threshold=0.5, by="return", step=0.25, episodes=2)
     curriculum = Adaptive(options, context())

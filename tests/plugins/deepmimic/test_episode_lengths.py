@@ -90,6 +90,16 @@ def test_until_the_horizon_of_the_difficulty(difficulty: float, longest: float) 
     assert marks == ([f"mark/episodes of {longest:.1f} s"] if difficulty else [])
 
 
+@pytest.mark.parametrize("kind", [Adaptive, Annealed])
+def test_the_first_are_no_longer_than_the_longest(kind: Any) -> None:
+    assert limit(kind(kind.Options(start=2.9), context(0.1))) == pytest.approx(2.9)
+    with pytest.raises(
+        ConfigError,
+        match=r"start=3 is not possible: episodes last 2\.9 s at most with difficulty=0\.1",
+    ):
+        kind(kind.Options(start=3.0), context(0.1))
+
+
 def test_the_tensor_stays_the_same() -> None:
     """A captured step reads it."""
     for curriculum in (

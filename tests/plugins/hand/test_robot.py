@@ -98,6 +98,8 @@ def test_a_grip_belongs_to_the_model_that_it_was_found_for(package: Path) -> Non
         (replace(MINE, links={"index_distal": "tip_of_the_index", "index_tip": "tip_of_the_index"}), "links has two names for 'tip_of_the_index'"),
         (replace(MINE, links={**MINE.links, "claw": "ring_middle"}), "The body 'claw' of models/hand.xml turns, and it is not said of which finger"),
         (replace(MINE, rest={"claw": 1.0}), "scene.robot.rest: the hand has no hinge 'claw'"),
+        (replace(MINE, rest={"index_proximal": 0.1, "ring_proximal": 3.0}), "rest.ring_proximal=3 is beyond what this hinge of models/hand.xml can do, -0.136 to 0.136 rad"),
+        (replace(MINE, rest={"ring_proximal": float("nan")}), "rest.ring_proximal=nan is beyond"),
     ],
 )  # fmt: skip
 def test_what_is_no_hand_is_refused(robot: Robot, said: str, package: Path) -> None:
@@ -117,6 +119,15 @@ def test_each_body_of_a_hand_has_a_name(package: Path) -> None:
         ConfigError, match=r"A body on the palm 'palm' of models/nameless\.xml has no name"
     ):
         _ = scene(replace(MINE, file="models/nameless.xml")).model
+
+
+def test_each_hinge_of_a_hand_has_a_range(package: Path) -> None:
+    text = (package / "models" / "hand.xml").read_text()
+    spec = mujoco.MjSpec.from_string(text)
+    spec.joint("ring_proximal").limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    (package / "models" / "endless.xml").write_text(spec.to_xml())
+    with pytest.raises(ConfigError, match="hinge 'ring_proximal' turns without end"):
+        _ = scene(replace(MINE, file="models/endless.xml")).model
 
 
 def test_a_robot_has_its_own_measures() -> None:

@@ -85,6 +85,27 @@ def test_only_the_take_off_foot_may_touch_the_ground(context: Context) -> None:
     assert follow(context, [high, left], take_off="left_ankle")["crashed"] == 0.0
 
 
+def test_what_was_before_its_stage_does_not_count(context: Context) -> None:
+    """Both feet run, and the jump then begins: what they touched is forgotten, and where they were is not."""
+    attempt = Attempt(Attempt.Options(stage=1), context)
+    assert "stage" in attempt.reads
+    both, high = pose(context, -1.0, STANDING), pose(context, -1.0, 1.5)
+    far = pose(context, 1.0, 1.5)  # through the wall's place, where nothing is judged yet
+    kept = attempt.begin(**fields_at(context, both))
+
+    def go(qpos: Tensor, stage: float) -> dict[str, Tensor]:
+        return attempt.advance(kept, **fields_at(context, qpos), stage=torch.full((1,), stage))
+
+    for qpos in (both, far, both, high):
+        kept = go(qpos, 0.0)
+        assert float(kept["crashed"]) == 0.0
+        assert float(kept["lowest_pass"]) == float("inf")
+    begun = attempt.begin(**fields_at(context, high))
+    torch.testing.assert_close(kept["body_ends"], begun["body_ends"])
+    assert float(go(high, 1.0)["crashed"]) == 0.0
+    assert float(go(both, 1.0)["crashed"]) == 1.0
+
+
 def over(context: Context, *after: Tensor) -> list[Tensor]:
     """Across the wall high above, 2 m behind it, then `after`."""
     return [pose(context, x, 2.5) for x in np.linspace(-1.5, 2.0, 20)] + list(after)

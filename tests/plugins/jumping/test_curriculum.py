@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
 from understudy_jumping.curriculum import Accumulated
@@ -44,6 +45,16 @@ def test_it_rises_when_the_sum_is_beyond_the_threshold() -> None:
     streams = WorldStreams(0, "a test", 4, "cpu")
     torch.testing.assert_close(curriculum.begin(streams)["difficulty"], torch.full((4,), 1 / 150))
     assert curriculum.state_dict()["sums"] == [0.0], "the sum begins anew"
+
+
+def test_it_begins_with_the_tasks_difficulty_at_most() -> None:
+    options = Accumulated.Options(start=0.5)
+    assert Accumulated(options, context(difficulty=0.5)).state_dict()["difficulty"] == [0.5]
+    with pytest.raises(ConfigError, match=r"curriculum\.start=0\.5 is beyond difficulty=0\.4"):
+        Accumulated(options, context(difficulty=0.4))
+    assert Accumulated(options, context(difficulty=0.4, evaluating=True)).state_dict()[
+        "difficulty"
+    ] == [0.4]
 
 
 def test_a_larger_iteration_counts_as_several() -> None:

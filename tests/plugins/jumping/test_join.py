@@ -21,6 +21,7 @@ from understudy.setup.plugins import installed
 from understudy_characters.recording import recorded_clips, recorded_scene
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.join import _figures, joined
+from understudy_motion.editing import evenly_spaced
 
 #: Of the jump, four frames: a box 0.6 m high and 0.5 m wide; the mat behind it rises.
 ARENA = {
@@ -30,8 +31,10 @@ ARENA = {
 }
 
 
-def recorded_run(folder: Path, task: str, frames: int, **fields: np.ndarray) -> Path:
-    """A run folder whose recording has an athlete that moves 0.1 m a frame, at 60 Hz."""
+def recorded_run(
+    folder: Path, task: str, frames: int, rate: float = 60.0, **fields: np.ndarray
+) -> Path:
+    """A run folder whose recording has an athlete that moves 0.1 m a frame."""
     words = [f"task={task}", "num_worlds=2", f"run.dir={folder}"]
     runs.create(load_experiment(words), words, {}).unlock()
     # as on a machine that lacks what it was trained with
@@ -42,7 +45,12 @@ def recorded_run(folder: Path, task: str, frames: int, **fields: np.ndarray) -> 
     assert isinstance(scene, CharacterScene)
     qpos = np.tile(scene.model.qpos0, (frames, 1))
     qpos[:, scene.layout.root_address] = 0.1 * np.arange(frames)
-    arrays: dict[str, Any] = {"control_dt": 1 / 60, "first_episode": frames, "qpos": qpos, **fields}
+    arrays: dict[str, Any] = {
+        "control_dt": 1 / rate,
+        "first_episode": frames,
+        "qpos": qpos,
+        **fields,
+    }
     np.savez(folder / "recording.npz", **arrays)
     return folder
 
@@ -91,6 +99,33 @@ def test_they_wait_for_the_jump(run_up: Path, jump: Path) -> None:
     at = {thing.clip.name: thing.clip.root_position.numpy() for thing in around}
     np.testing.assert_allclose(at["obstacle"], np.tile([0.25, 0.0, 0.3], (14, 1)))
     np.testing.assert_allclose(at["mat"][:, 2], [*10 * [0.1], *ARENA["mat_height"]])
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(30.0, 60.0), (60.0, 30.0), (25.0, 60.0)])
+def test_of_two_rates_the_motion_has_the_finer_one_throughout(
+    slow: float, fast: float, tmp_path: Path
+) -> None:
+    run_up = recorded_run(tmp_path / "run_up", "jumping/run_up", 10, slow)
+    jump = recorded_run(tmp_path / "jump", "jumping/obstacle", 4, fast, **ARENA)
+    first, second = recorded_clips(run_up)[0], recorded_clips(jump)[0]
+    whole = joined(first, second)
+    lasts = 10 / slow + 3 / fast
+    assert whole.duration == pytest.approx(lasts)
+    np.testing.assert_allclose(whole.times.diff(), whole.duration / round(lasts * 60))
+    assert evenly_spaced(whole) is whole
+    at = whole.times.numpy()
+    run = -1.0 + 0.1 * slow * at  # to x = 0, where the jump begins
+    np.testing.assert_allclose(
+        whole.root_position[:, 0],
+        np.where(at < 10 / slow, run, 0.1 * fast * (at - 10 / slow)),
+        atol=1e-3 + (0.05 if slow == 25 else 0),
+    )
+    figure, *around = _figures(whole, str(jump), Path("whole.glb"))
+    assert figure.clip is whole
+    (mat,) = (thing.clip for thing in around if thing.clip.name == "mat")
+    np.testing.assert_array_equal(mat.times, whole.times)
+    heights = np.interp(at - 10 / slow, np.arange(4) / fast, ARENA["mat_height"])
+    np.testing.assert_allclose(mat.root_position[:, 2], heights, atol=1e-6)
 
 
 def test_the_obstacle_is_in_the_video(

@@ -374,6 +374,14 @@ def test_a_joint_that_has_no_range_is_named(plugins: Plugins) -> None:
         ("initial_states.distance.near=100", "at most 20"),
         ("initial_states.noise=10", "at most 1"),
         ("actuation.rest.left_knee=[1.0,0.5]", "servos turn left_knee about 1"),
+        (
+            "actuation.rest.left_knee=[3.2]",
+            r"rest\.left_knee=\[3\.2\] .* 3\.2 rad is beyond the range of its targets, -0\.5 to 3",
+        ),
+        (
+            "actuation.rest.chest=[0.0,-1.2]",
+            r"-1\.2 rad is beyond .* -1\.1 to 1\.3",
+        ),
     ],
 )
 def test_what_no_training_could_do_is_refused(plugins: Plugins, words: str, sentence: str) -> None:

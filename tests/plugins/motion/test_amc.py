@@ -332,7 +332,7 @@ def long_clip(folder: Path, minutes: float) -> tuple[Path, int]:
     """A clip of 29 moving bones at 120 frames/s, as large as CMU's."""
     bones = [f"bone{i}" for i in range(28)]
     data = "".join(
-        f"begin\nname {b}\ndirection 0 -1 0\nlength 1\naxis 0 0 20 XYZ\ndof rx ry rz\nend\n"
+        f"begin\nname {b}\ndirection 0 -1 0\nlength 20\naxis 0 0 20 XYZ\ndof rx ry rz\nend\n"
         for b in bones
     )
     head, _, _ = ASF.partition("  begin\n")
@@ -464,6 +464,21 @@ def test_files_that_leave_units_open(tmp_path: Path, name: str) -> None:
         torch.testing.assert_close(clip.root_position, expected.root_position, atol=1e-5, rtol=0)
         alike = (clip.rotations * expected.rotations).sum(dim=-1).abs()
         assert alike.min() == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("length", "size"), [("9.0", r"0\.0\d+"), ("0.009", r"\d\d(\.\d)?"), ("1e6", r"\d\.?\d*e-07")]
+)
+def test_a_figure_of_no_bodys_size_is_no_unit(tmp_path: Path, length: str, size: str) -> None:
+    path = write_amc(tmp_path)
+    (tmp_path / "small.asf").write_text(ASF.replace("  length 0.45\n", f"  length {length}\n"))
+    number = re.escape(f"{float(length):g}")
+    said = rf"section :units \(inches divided by {number}\) the figure is {size} m from end to end, .*0\.4 to 3 m.*inch if"
+    with pytest.raises(FileError, match=said):
+        read(path)
+    for unit, metres in (("inch", INCH), (2.5, 2.5)):  # whoever gives it means it
+        height = read(path, unit=unit).root_position[0, 2]
+        assert height == pytest.approx(17.5 / float(length) * metres)
 
 
 def test_a_unit_that_nothing_shows_is_asked_for(tmp_path: Path) -> None:

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from granular import MASS, RADIUS, Scene, lattice, tied
+from granular import MASS, RADIUS, Scene, control, lattice, tied
+from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context
 from understudy_pbd.scene import Fluid, Material, ParticleModel, Table
 from understudy_pbd.simulator import ParticleSimulator
+from understudy_warp_torch.tools import Box, Tool
 
 
 def pile(layers: int, springs: bool = False) -> ParticleModel:
@@ -25,9 +27,9 @@ def pile(layers: int, springs: bool = False) -> ParticleModel:
     return replace(found, springs=tied(x, 3.6 * RADIUS)) if springs else found
 
 
-def built(model: ParticleModel, rate: float, **options: Any) -> ParticleSimulator:
+def built(model: ParticleModel, rate: float, worlds: int = 1, **options: Any) -> ParticleSimulator:
     """With so many sub-steps a second."""
-    context = Context(0, torch.device("cpu"), 1, 1 / rate, 1, scene=Scene(model))
+    context = Context(0, torch.device("cpu"), worlds, 1 / rate, 1, scene=Scene(model))
     return ParticleSimulator(ParticleSimulator.Options(**options), context)
 
 
@@ -69,3 +71,43 @@ def test_a_fluid_stands_on_its_density() -> None:
     grain[0] = 1  # one alone is no pile
     with warnings.catch_warnings(action="error"):
         built(replace(model, material=grain, materials=(fluid, Material())), 60.0)
+
+
+def begun(found: ParticleSimulator, **values: Tensor) -> ParticleSimulator:
+    state = {name: found.read(name).clone() for name in found.state_fields}
+    found.set_state(
+        torch.ones(len(found.read("particle_position")), dtype=torch.bool), {**state, **values}
+    )
+    return found
+
+
+def test_the_strongest_gravity_of_all_worlds_counts() -> None:
+    model = pile(12)
+    need = (1.2 * 12 * 9.81 / (2 * RADIUS) / 8 / 0.15) ** 0.5
+
+    def varied(*times: float) -> ParticleSimulator:
+        found = built(model, 1.5 * need, len(times))
+        found.vary(["gravity"])
+        return begun(found, gravity=torch.tensor([[0.0, 0.0, -9.81 * each] for each in times]))
+
+    with warnings.catch_warnings(action="error"):
+        varied(2.0, 1.0)
+    with pytest.warns(UserWarning, match=r"20 % lower.* strongest gravity .* 29\.4 m/s²"):
+        varied(3.0, 1.0)
+    with pytest.raises(ConfigError, match=r"67 % lower.* strongest gravity .* 98\.1 m/s²"):
+        varied(1.0, 10.0)
+
+
+@pytest.mark.parametrize(("below", "ends", "counted"), [(0.0, 9.0, True), (0.5, -0.3, False)])
+def test_a_tool_that_lifts_a_pile_counts_once_it_touches_it(
+    below: float, ends: float, counted: bool
+) -> None:
+    floor = Tool((Box((0.1, 0.1, 0.02)),), (0.04, 0.04, -0.02 - below))
+    model = replace(pile(6), table=None, tools=(floor,), gravity=(0.0, 0.0, -1.0))
+    found = begun(built(model, 120.0))
+    height, speed = -0.02 - below, 0.0
+    for _ in range(30):
+        speed += 100.0 / 120
+        height += speed / 120
+        found.step(control(found, 0.04, 0.04, min(height, ends), 0.0, 0.0, 0.0))
+    assert ("sub_steps_too_long" in found.report()) == counted

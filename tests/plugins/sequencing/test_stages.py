@@ -104,6 +104,38 @@ def test_it_acts_as_the_run_alone_does(place: Path, slow: Path) -> None:
             )
 
 
+def test_longer_control_periods_keep_their_controls(place: Path, slow: Path) -> None:
+    """As the run alone does: every third period of this task is one of its own."""
+    for run, decision in ((place, 3), (slow, 9)):
+        built = build(stages(run, place, within=0.0), "num_worlds=4", "control.frequency=30")
+        environment, context = built.environment, built.context
+        controller = Controller.load(str(run), context, any_rate=True, slower=True)
+        assert (controller.decision, controller.holds) == (decision, decision)
+        environment.reset()
+        table, part = environment.table, environment.parts.actuation.part
+        wanted = None
+        for period in range(20):
+            fields = {
+                "offset": table["first_offset"].clone(),
+                "velocity": table["velocity"].clone(),
+            }
+            if period % decision == 0:
+                wanted = controller(fields)
+            environment.advance(torch.zeros(4, 1))
+            given = part.control(torch.zeros(4, 1), **table.pick(environment.parts.actuation.reads))
+            torch.testing.assert_close(given, wanted)
+        assert (table["stage"] == 0).all()
+
+
+def test_control_periods_that_do_not_go_into_its_own_are_refused(place: Path) -> None:
+    for rate in ("15", "5", "25"):
+        with pytest.raises(ConfigError, match="decides 10 times a second"):
+            build(stages(place, place), "num_worlds=1", f"control.frequency={rate}")
+    context = build(stages(place, place), "num_worlds=1", "control.frequency=30").context
+    with pytest.raises(ConfigError, match="decides 10 times a second"):
+        Controller.load(str(place), context, any_rate=True)  # by who cannot keep controls
+
+
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf"), 1e12, -3.0])
 def test_a_stage_that_went_wrong_stays_in_its_world(place: Path, wrong: float) -> None:
     environment = build(stages(place, place), "num_worlds=3").environment

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from pathlib import Path
 
 import miniatures
@@ -12,7 +11,7 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
-from understudy.records import checkpoint, runs
+from understudy.records import runs
 from understudy_skills import folder, skill
 from understudy_skills.folder import run_folder
 from understudy_skills.skill import open_skill
@@ -120,36 +119,6 @@ def test_what_is_no_skill_stays_as_it_is(name: str, tmp_path: Path) -> None:
 
 def test_a_run_stays_as_it_is(packed: Path) -> None:
     assert run_folder(str(packed.parent / "run")) == str(packed.parent / "run")
-
-
-@pytest.mark.parametrize("gone", [False, True], ids=["its bank is there", "its bank is gone"])
-def test_what_another_run_left_is_not_packed(
-    gone: bool, built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It was, and whoever got the pack could not open it. One that is packed so says what to override, and with that the
-    pack is whole."""
-    bank, run, file = (tmp_path / name for name in ("bank", "run", "packed/two.json"))
-    shutil.copytree(built_on / "bank", bank)
-    begins = ("initial_states=bank", f"initial_states.file={bank}")
-    small = ("budget.samples=512", *miniatures.QUICK, "run.video_seconds=0")
-    miniatures.train("experiment=miniature/sleeve", *begins, *small, f"run.dir={run}")
-    if gone:
-        shutil.rmtree(bank)  # the run has its copy
-    capsys.readouterr()
-    assert main(["play", str(run), "--pack", str(file)]) == 2
-    error = capsys.readouterr().err
-    assert f"initial_states.file={bank} is another run's" in error
-    assert error.count("\n") == 1
-    assert not file.parent.exists(), "nothing is written"
-    own = "initial_states={name: miniature/somewhere, drag: [0.5, 2.0]}"
-    assert main(["play", str(run), own, "--pack", str(file)]) == 0
-    assert "from the pack's starts" not in capsys.readouterr().err, (
-        "the run has its copy of the bank"
-    )
-    assert checkpoint.load(file)[1]["weights"]["compared"]["starts"] > 1
-    shutil.rmtree(run)
-    shutil.rmtree(bank, ignore_errors=True)
-    assert main(["play", str(file), "--unpack", str(tmp_path / "again")]) == 0
 
 
 def test_a_policy_of_another_run_is_not_packed(built_on: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
 from understudy_characters.initial_states import ReferenceStates
@@ -312,6 +312,8 @@ def test_the_clips_start(context: Context) -> None:
     assert torch.equal(found["qpos"], reference.sample(start)["reference_qpos"])
     first = ClipStart(ClipStart.Options(window=0.0), context).sample(streams(4))
     assert first["motion_start"].tolist() == [0.0] * 4
+    with pytest.raises(ConfigError, match=r"initial_states\.window=99 .* the clip lasts [\d.]+ s"):
+        ClipStart(ClipStart.Options(window=99.0), context)
 
 
 def test_evolved_states_of_another_run(

@@ -55,7 +55,7 @@ def target_limits(
     ------
     ConfigError
         `ranges`, which is the `option` of an actuation, names no joint of the character, has more
-        ranges than a joint has servos, or a range whose first number is the higher one.
+        ranges than a joint has servos, a range whose first number is the higher one, or one without any of a servo's.
     """
     joints, model = scene.layout.joint_names, scene.model
     for name, axes in ranges.items():
@@ -70,6 +70,11 @@ def target_limits(
         low, high = axes[axis] if axis < len(axes) else (-otherwise, otherwise)
         if model.actuator_ctrllimited[servo]:
             least, most = map(float, model.actuator_ctrlrange[servo])
+            if low > most or high < least:
+                raise ConfigError(
+                    f"{option}.{name}: {low:g} to {high:g} rad of axis {axis} is beyond what its servo takes in the model, "
+                    f"{least:g} to {most:g}. Give a range that reaches into it."
+                )
             low, high = max(low, least), min(high, most)
         found.append((low, high))
     low, high = torch.tensor(found, device=device).unbind(1)

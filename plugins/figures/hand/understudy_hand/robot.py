@@ -148,11 +148,17 @@ def _check_links(robot: Robot, found: Sequence[Link]) -> None:
                 f"The body '{link.name}' of {robot.file} turns, and it is not said of which finger. Name it in "
                 f"scene.robot.links, such as {FINGERS[1]}_middle."
             )
-    hinges = [hinge.name for link in hand for hinge in link.hinges]
-    for name in robot.rest:
+    hinges = {hinge.name: hinge.range for link in hand for hinge in link.hinges}
+    for name, angle in robot.rest.items():
         if name not in hinges:
             raise ConfigError(
                 f"scene.robot.rest: the hand has no hinge '{name}'.{suggestion(name, hinges)}"
+            )
+        low, high = hinges[name]
+        if not low <= angle <= high:
+            raise ConfigError(
+                f"scene.robot.rest.{name}={angle:g} is beyond what this hinge of {robot.file} can do, {low:g} to {high:g} rad. "
+                "Give an angle within."
             )
 
 
@@ -169,6 +175,10 @@ def _hinges(model: mujoco.MjModel, body: int, name: str) -> Iterator[Hinge]:
     for k in range(first, first + count):
         if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_HINGE:
             raise ConfigError(f"The hand's joint '{model.joint(k).name}' is no hinge.")
+        if not model.jnt_limited[k]:
+            raise ConfigError(
+                f"The hand's hinge '{model.joint(k).name}' turns without end, and grips need a range. Give it one in the model."
+            )
         low, high = model.jnt_range[k].tolist()
         title = name if k == first else f"{name}_{1 + k - first}"
         yield Hinge(title, _vector(model.jnt_axis[k]), (low, high), _vector(model.jnt_pos[k]))

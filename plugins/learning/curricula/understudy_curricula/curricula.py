@@ -14,7 +14,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
-from understudy_curricula.episodes import Judged, mark_worlds, number_in
+from understudy_curricula.episodes import Judged, first_difficulty, mark_worlds, number_in
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,7 @@ class Adaptive(_OfDifficulty):
         self._options, self._target = options, context.difficulty
         self.rollout_fields = (options.counts,) if options.counts else ()
         self._judged = Judged(options.episodes, options.by, options.threshold)
-        first = context.difficulty if context.evaluating else min(options.start, self._target)
-        super().__init__(first, options.knots, context)
+        super().__init__(first_difficulty(options.start, context), options.knots, context)
         # Worlds whose present episode began before the last step.
         self._older = torch.zeros(context.num_worlds, dtype=torch.bool, device=context.device)
 

@@ -9,14 +9,33 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
-from understudy.task import State
+from understudy.errors import ConfigError
+from understudy.task import Context, State
 
-__all__ = ["Judged", "mark_worlds", "number_in", "totals"]
+__all__ = ["Judged", "first_difficulty", "mark_worlds", "number_in", "totals"]
 
 
 def totals(*values: Tensor) -> list[float]:
     """The sum of each of `values`, of any shape, over all processes of the training."""
     return distributed.total(torch.stack([value.double().sum() for value in values])).tolist()
+
+
+def first_difficulty(start: float, context: Context) -> float:
+    """The difficulty with which a training's curriculum begins at `start`, and an evaluation's at the task's own.
+
+    Raises
+    ------
+    ConfigError
+        if that is less than where the training begins.
+    """
+    if context.evaluating:
+        return context.difficulty
+    if start > context.difficulty:
+        raise ConfigError(
+            f"curriculum.start={start:g} is beyond difficulty={context.difficulty:g}, to which the training leads. Begin with "
+            "that at most."
+        )
+    return start
 
 
 def number_in(state: State, name: str, least: float = 0.0, most: float = math.inf) -> Any:

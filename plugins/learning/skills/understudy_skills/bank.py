@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import hashlib
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,11 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, FileError, RunError, suggestion
+from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy.task import Context, Scene
 
-__all__ = ["NAME", "files", "fitting", "load", "save", "starts"]
+__all__ = ["MOST", "NAME", "BankInputs", "Held", "files", "fitting", "load", "save", "starts"]
 
 #: The bank that a harvest leaves in its run folder.
 NAME = "bank"
@@ -21,6 +24,112 @@ NAME = "bank"
 HELD_OUT = 5
 #: Of what harvests keep; of others a simulator or a term would make something without a word.
 _KINDS = (torch.float32, torch.float64, torch.int32, torch.int64, torch.bool)
+#: States of a bank that a pack has, and bytes of these, at most; and banks of a pack.
+MOST, _MOST_BYTES, _MOST_BANKS = 64, 2**23, 16
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a bank has: `states`, fields (M, …) by name, and `of` whom they are, as a scene's identity says it."""
+
+    states: Mapping[str, Tensor]
+    of: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.states.values())))
+
+
+@dataclass
+class BankInputs(Inputs):
+    """The inputs of a packed skill, which has the banks that its task reads, by what was asked for.
+
+    With `gathers` a bank that is read from a file is held, too, with :data:`MOST` of its states at most: what is judged
+    then is what a pack will have.
+    """
+
+    banks: dict[str, Held] = field(default_factory=dict)
+    gathers: bool = False
+    #: of banks that were gathered: how many states they had
+    sizes: dict[str, int] = field(default_factory=dict)
+    #: those of the pack from which others are gathered
+    had: Mapping[str, Held] = field(default_factory=dict)
+
+    @classmethod
+    def gathering(cls, inputs: Inputs) -> BankInputs:
+        """As `inputs`, for a skill that will be packed."""
+        had = inputs.banks if isinstance(inputs, BankInputs) else {}
+        return cls(inputs.folder, dict(inputs.kept), gathers=True, had=had)
+
+    def bank(self, asked: str, find: Callable[[], Held]) -> Held:
+        """The bank for what is `asked`: the pack's, else that which `find` reads."""
+        if asked in self.banks:
+            return self.banks[asked]
+        found = self.had.get(asked) or find()
+        if self.gathers:
+            self.sizes[asked] = len(found)
+            self.banks[asked] = found = _drawn_evenly(asked, found)
+            if len(self.banks) > _MOST_BANKS:
+                raise ConfigError(f"--pack: more than {_MOST_BANKS} banks are too many for a pack.")
+        return found
+
+    def copy(self, folder: Path) -> dict[str, dict[str, str]]:
+        """As :meth:`understudy.inputs.Inputs.copy`; banks become files, too."""
+        super().copy(folder)
+        for asked, held in self.banks.items():
+            own = folder / str(len(self.kept) + 1)
+            own.mkdir(parents=True)
+            checkpoint.save(
+                own / NAME, {"states": dict(held.states)}, {"bank": {"of": dict(held.of)}}
+            )
+            digests = {f: hashlib.sha256(f.read_bytes()).hexdigest() for f in files(own)}
+            self.kept[asked] = {f.relative_to(folder).as_posix(): d for f, d in digests.items()}
+        self.banks = {}
+        return self.kept
+
+
+def as_state(banks: Mapping[str, Held]) -> dict[str, Any]:
+    """The `banks` of a pack as a checkpoint has them, by name."""
+    return {k: {"states": dict(held.states), "of": dict(held.of)} for k, held in banks.items()}
+
+
+def of_state(state: Any) -> dict[str, Held]:
+    """The banks of a pack, from what a checkpoint has of them, whoever wrote that; a ValueError if they are none."""
+    if not isinstance(state, dict) or len(state) > _MOST_BANKS:
+        raise ValueError(f"its banks are none, or more than {_MOST_BANKS}")
+    found = {}
+    for name, bank in state.items():
+        if not isinstance(bank, dict) or bank.keys() != {"states", "of"}:
+            raise ValueError(f"'{str(name)[:40]}' is no bank")
+        try:
+            found[name] = held = _checked(f"'{str(name)[:40]}'", bank["states"], bank["of"])
+        except FileError as error:
+            raise ValueError(str(error)) from error
+        size = sum(value.nbytes for value in held.states.values())
+        if len(held) > MOST or size > _MOST_BYTES:
+            raise ValueError(
+                f"the bank '{name[:40]}' has {len(held)} states of {size} bytes, too many for a pack"
+            )
+    return found
+
+
+def _drawn_evenly(asked: str, held: Held) -> Held:
+    """As many states as a pack has room for, from all of the bank; those that only evaluations begin in stay these."""
+    each = sum(value[0].nbytes for value in held.states.values())
+    count = min(len(held), MOST, _MOST_BYTES // max(each, 1))
+    if count == len(held):
+        return held
+    if count < 2:
+        raise ConfigError(
+            f"--pack: a state of the {asked} has {each / 2**20:.0f} MiB, too much for a pack. Override what begins there, for "
+            "example by 'initial_states={name: NAME}'."
+        )
+    every = torch.arange(len(held))
+    kept = torch.arange(count)
+    rows = torch.empty_like(kept)
+    for own, taken in ((True, kept % HELD_OUT == 0), (False, kept % HELD_OUT != 0)):
+        those, number = every[(every % HELD_OUT == 0) == own], int(taken.sum())
+        rows[taken] = those[torch.arange(number) * len(those) // number]
+    return Held({name: value[rows] for name, value in held.states.items()}, held.of)
 
 
 def save(
@@ -45,7 +154,7 @@ def load(path: str | Path) -> dict[str, Tensor]:
     FileError
         if it is missing, damaged, empty, or no bank.
     """
-    return _read(path)[0]
+    return dict(_read(path).states)
 
 
 def fitting(
@@ -61,7 +170,13 @@ def fitting(
     FileError
         as :func:`load` does.
     """
-    states, of = _read(context.inputs.file(f"bank {path}", lambda: files(path)))
+    asked, inputs = f"bank {path}", context.inputs
+
+    def find() -> Held:
+        return _read(inputs.file(asked, lambda: files(path)))
+
+    held = inputs.bank(asked, find) if isinstance(inputs, BankInputs) else find()
+    states, of = dict(held.states), held.of
     for name in leave:
         if name not in states:
             raise ConfigError(
@@ -100,26 +215,30 @@ def starts(
     return {name: value[rows] for name, value in states.items()}
 
 
-def _read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """The states, and whose they are, if the bank says so."""
+def _read(path: str | Path) -> Held:
+    """The bank of these files, and whose it is, if it says so."""
     try:
         state, about = checkpoint.load(files(path)[0])
     except RunError as error:
         raise FileError(f"The bank {path} cannot be used: {error}") from error
-    states = state.get("states")
-    if not isinstance(states, dict) or not all(isinstance(v, Tensor) for v in states.values()):
-        raise FileError(f"{path} is no bank of states.")
-    lengths = {len(v) if v.dim() else 0 for v in states.values()}
-    if len(lengths) != 1 or 0 in lengths:
-        raise FileError(f"The bank {path} has no states, or not equally many of each field.")
-    for name, value in states.items():
-        if value.dtype not in _KINDS or not bool(value.isfinite().all()):
-            raise FileError(
-                f"The bank {path} is damaged: '{name}' has numbers that are not finite, or of a kind that no state has "
-                f"({value.dtype}). Harvest it again."
-            )
     made = about.get("bank")
     of = made.get("of", {}) if isinstance(made, dict) else {}
+    return _checked(str(path), state.get("states"), of)
+
+
+def _checked(name: str, states: Any, of: Any) -> Held:
+    """The bank `name` of what a file has, whoever wrote it; a FileError if it is none, empty or damaged."""
+    if not isinstance(states, dict) or not all(isinstance(v, Tensor) for v in states.values()):
+        raise FileError(f"{name} is no bank of states.")
+    lengths = {len(v) if v.dim() else 0 for v in states.values()}
+    if len(lengths) != 1 or 0 in lengths:
+        raise FileError(f"The bank {name} has no states, or not equally many of each field.")
+    for field_name, value in states.items():
+        if value.dtype not in _KINDS or not bool(value.isfinite().all()):
+            raise FileError(
+                f"The bank {name} is damaged: '{field_name}' has numbers that are not finite, or of a kind that no state has "
+                f"({value.dtype}). Harvest it again."
+            )
     if not isinstance(of, dict) or not all(isinstance(text, str) for text in of.values()):
-        raise FileError(f"{path} is no bank of states.")
-    return states, of
+        raise FileError(f"{name} is no bank of states.")
+    return Held(states, of)

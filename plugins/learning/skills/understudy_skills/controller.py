@@ -55,19 +55,23 @@ class Controller(nn.Module):
 
     def __init__(
         self, encoders: Mapping[str, Wired[Encoder]], actuation: Wired[Actuation], policy: nn.Module,
-        decision: int = 1,
+        decision: int = 1, holds: int = 1,
     ) -> None:  # fmt: skip
         super().__init__()
         self.decision = decision  #: control periods for which what it decides holds
+        self.holds = holds  #: and those for which a control of it does, after which it is asked for the next one
         self.action_size = actuation.part.action_space.size
         self.encoders, self.actuation = dict(encoders), actuation
         self.policy: Any = policy.requires_grad_(False)
 
     @classmethod
-    def load(cls, source: str, context: Context, *, any_rate: bool = False) -> Controller:
+    def load(
+        cls, source: str, context: Context, *, any_rate: bool = False, slower: bool = False
+    ) -> Controller:
         """The controller of `source`: a run folder, of which the newest checkpoint counts, the name of a skill that comes
         with a plugin, or a packed file. A run of this task keeps a copy of the folder or file. With `any_rate` it may
-        decide every n-th control period (``decision``), which is up to the caller of :meth:`decide` and :meth:`control`.
+        decide every n-th control period (``decision``), which is up to the caller of :meth:`decide` and :meth:`control`; if
+        it may be `slower`, its own control periods may be several of this task's (``holds``), too.
 
         Raises
         ------
@@ -78,10 +82,10 @@ class Controller(nn.Module):
             if it is damaged, or its checkpoint does not fit its configuration.
         """
         with _within(source):
-            return cls._load(source, context, any_rate)
+            return cls._load(source, context, any_rate, slower)
 
     @classmethod
-    def _load(cls, source: str, context: Context, any_rate: bool) -> Controller:
+    def _load(cls, source: str, context: Context, any_rate: bool, slower: bool) -> Controller:
         assert context.registry is not None
         asked, place, path = f"controller {source}", source, Path(source)
         if path.suffix == ".json":
@@ -95,7 +99,8 @@ class Controller(nn.Module):
         skill = open_skill(place, registry=context.registry, without=("simulator",))
         experiment = skill.experiment
         control = experiment.root.control
-        if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or (
+        periods = max(1, round(1.0 / (control.frequency * context.control_dt))) if slower else 1
+        if abs(1.0 / control.frequency - periods * context.control_dt) > 1e-9 or (
             control.decision != 1 and not any_rate
         ):
             raise ConfigError(
@@ -122,7 +127,9 @@ class Controller(nn.Module):
         own.observation_shapes = {name: e.part.shape for name, e in encoders.items()}
         policy = build_policy(experiment, own)
         replace(skill, name=source).give(policy)
-        return cls(encoders, actuation, policy, control.decision)
+        once = control.decision if actuation.part.every == "decision" else 1
+        holds = periods * once if periods > 1 else 1
+        return cls(encoders, actuation, policy, periods * control.decision, holds)
 
     @property
     def reads(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ and finished runs."""
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -30,10 +31,13 @@ from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
 from understudy_reinforcement.policy import Policy, build_policy
+from understudy_skills import bank
+from understudy_skills.bank import BankInputs
 
 __all__ = [
     "BITS",
     "Skill",
+    "gathering",
     "is_left_over",
     "names",
     "open_skill",
@@ -52,6 +56,8 @@ _SCALES = (torch.float32, torch.float64)
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 #: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
 _OF_NO_RUN = ("clip ", "mjcf ")
+#: An option that takes a run, not its bank.
+_RUN = re.compile(r"(^|\.)runs?(\.\d+)*$")
 
 
 @dataclass(frozen=True)
@@ -196,7 +202,7 @@ def _less(config: Mapping[str, Any], without: Collection[str]) -> dict[str, Any]
 def _packed(
     path: Path, name: str, registry: Registry, without: Collection[str], overrides: Sequence[str]
 ) -> Skill:
-    state, card = checkpoint.load(path)
+    state, card, inputs = _loaded(path)
     if overrides:
         words = replaced(_words_of(card, name), overrides)
         refuse_resolvers(words[: len(words) - len(overrides)], name)
@@ -209,12 +215,22 @@ def _packed(
         samples = card["samples"]
         if type(samples) is not int or not 0 <= samples < 2**63:
             raise ValueError(f"samples are {str(samples)[:40]}")
-        experiment = validate(_less(card["config"], without), registry)
+        experiment = replace(validate(_less(card["config"], without), registry), inputs=inputs)
     except ConfigError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{path} is no packed skill: {type(error).__name__}: {error}.") from error
     return Skill(name, experiment, tensors, samples, card)
+
+
+def _loaded(path: Path) -> tuple[dict[str, Any], dict[str, Any], BankInputs]:
+    """What a packed skill's files have, and the banks within."""
+    state, card = checkpoint.load(path)
+    try:
+        banks = bank.of_state(state.get("banks", {}))
+    except ValueError as error:
+        raise RunError(f"{path} is no packed skill: {error}.") from error
+    return state, card, BankInputs(banks={f"bank {name}": held for name, held in banks.items()})
 
 
 def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
@@ -229,23 +245,36 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
     return words
 
 
-def refuse_of_others(skill: Skill) -> None:
-    """Refuse to pack `skill` if its task reads what another run left, a bank or a policy: a pack has only its own policy.
-    What its training began with (``start.run``), or its job read, is not needed any more.
+def gathering(skill: Skill) -> Skill:
+    """`skill`, whose task is read with the banks that :func:`pack` will write."""
+    inputs = BankInputs.gathering(skill.experiment.inputs)
+    return replace(skill, experiment=replace(skill.experiment, inputs=inputs))
+
+
+def refuse_of_others(skill: Skill, *, judged: bool = False) -> None:
+    """Refuse to pack `skill` if its task reads what another run left: a pack has its own policy, and banks of states alone.
+    What its training began with (``start.run``), or its job read, is not needed any more. Once it was `judged`, the banks
+    are known.
 
     Raises
     ------
     ConfigError
         it does; the error says what to override.
     """
-    left = [a for a in skill.experiment.inputs.kept if not a.startswith(_OF_NO_RUN)]
+    inputs = skill.experiment.inputs
+    banks = {*inputs.kept, *(inputs.banks if isinstance(inputs, BankInputs) else ())}
+    left = [a for a in inputs.kept if not a.startswith((*_OF_NO_RUN, "bank "))]
     for key, value in _words_in(skill.card["config"]):
         if _OF_THE_RUN.match(key) or key.startswith("job."):
             continue
-        if any(a.endswith(f" {value}") for a in left) or (Path(value) / "run.json").is_file():
+        held = f"bank {value}" in banks and not _RUN.search(key)
+        here = (Path(value) / "run.json").is_file() and not held
+        if here and not judged and not _RUN.search(key):
+            here = not bank.files(value)[0].is_file()
+        if here or any(a.endswith(f" {value}") for a in left):
             raise ConfigError(
-                f"--pack: {key}={value} is another run's, and a pack has a policy alone. Override it, for example by "
-                "'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and played with that."
+                f"--pack: {key}={value} is another run's, and a pack has a policy and banks of states alone. Override it, for "
+                "example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and played with that."
             )
 
 
@@ -278,8 +307,8 @@ def with_own_starts(
     else:
         if source in registry.names("skill"):
             path = registry.find("skill", source).call()
-        own = checkpoint.load(path)[1]["config"]
-        experiment = validate(_begun_as(own, skill), registry)
+        _, card, inputs = _loaded(path)
+        experiment = replace(validate(_begun_as(card["config"], skill), registry), inputs=inputs)
     return None if _starts(experiment) == _starts(skill.experiment) else experiment
 
 
@@ -298,7 +327,8 @@ def _starts(experiment: Experiment) -> list[Any]:
 
 
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:
-    """Write the actor of `skill` as ``PATH.safetensors`` and its card as ``PATH.json``.
+    """Write the actor of `skill`, and the banks that it was judged with (:func:`gathering`), as ``PATH.safetensors`` and its
+    card as ``PATH.json``.
 
     Matrices get 8 or 16 `bits` per weight and a scale per row; with 32 they are unchanged, as everything else is.
     `evaluation` goes onto the card.
@@ -314,7 +344,14 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
         found = (card.get("sources") or {}).get(of, {})
         if isinstance(path_of := found.get(where), str):  # of no one's folders
             card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
-    config = dict(card["config"])
+    inputs = skill.experiment.inputs
+    banks = inputs.banks if isinstance(inputs, BankInputs) else {}
+    names = _names_within([asked.removeprefix("bank ") for asked in banks], card.get("overrides"))
+    config = _renamed(dict(card["config"]), names)
+    if names:
+        card["overrides"] = [_renamed_in(word, names) for word in card["overrides"]]
+        inputs_of = {f"bank {old}": f"bank {new}" for old, new in names.items()}
+        card["licence"] = _renamed(card.get("licence"), inputs_of)
     config["run"] = {**config.get("run", {}), "dir": None}
     path.parent.mkdir(parents=True, exist_ok=True)
     policy = {k: _packed_tensor(v, bits) for k, v in kept.items()}
@@ -323,7 +360,11 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
     made = path.with_name(f".{name}.{os.getpid()}.partial")
     endings = (".safetensors", ".json")
     try:
-        checkpoint.save(made, {"policy": policy}, {**card, "config": config})
+        state: dict[str, Any] = {"policy": policy}
+        if banks:
+            given = {asked.removeprefix("bank "): held for asked, held in banks.items()}
+            state["banks"] = bank.as_state({names.get(k, k): held for k, held in given.items()})
+        checkpoint.save(made, state, {**card, "config": config})
         for ending in endings:
             os.replace(made.with_name(made.name + ending), path.with_name(name + ending))
     except RunError as error:
@@ -336,13 +377,44 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
                 made.with_name(made.name + ending).unlink()
 
 
+def _names_within(paths: Sequence[str], overrides: Any) -> dict[str, str]:
+    """By the path of a bank its name in a pack, of no one's folders, where the words that made the skill can say so."""
+    found = dict[str, str]()
+    for path in paths:
+        tries = itertools.chain([""], (f"-{number}" for number in itertools.count(2)))
+        name = next(
+            n for end in tries if (n := (Path(path).name or "bank") + end) not in found.values()
+        )
+        words = overrides if isinstance(overrides, list) else []
+        if any(_renamed_in(word, {path: f"{name} "}) != word for word in words):
+            found[path] = name
+    return found
+
+
+def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+    """A configuration with the words of `names` replaced."""
+    if isinstance(value, Mapping):
+        return {key: _renamed(part, names) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_renamed(part, names) for part in value]
+    return names.get(value, value) if isinstance(value, str) else value
+
+
+def _renamed_in(override: str, names: Mapping[str, str]) -> str:
+    """An override with the paths of `names` replaced where they stand by themselves."""
+    for old in sorted(names, key=len, reverse=True):
+        alone = rf"(?<![\w./-]){re.escape(old)}(?![\w./-])"
+        override = re.sub(alone, lambda _, new=names[old]: new, override)
+    return override
+
+
 def is_left_over(file: Path) -> bool:
     """Whether `file` has the tensors of a pack that was killed before it had a card, without which they are useless."""
     if file.with_suffix(".json").exists():
         return False
     try:
         with safe_open(file, "pt") as tensors:
-            return all(name.startswith("policy/") for name in tensors.keys())  # noqa: SIM118 - no mapping
+            return all(name.startswith(("policy/", "banks/")) for name in tensors.keys())  # noqa: SIM118 - no mapping
     except (OSError, SafetensorError):
         return False
 

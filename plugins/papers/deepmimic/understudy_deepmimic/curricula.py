@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
@@ -104,6 +105,11 @@ class _OfLength(Curriculum):
         self.longest = horizon(context.difficulty)
         self._decisions = self.longest / (context.control_dt * context.decision)
         self._on_device = torch.zeros(context.num_worlds, device=context.device)
+        if seconds > self.longest and not context.evaluating:
+            raise ConfigError(
+                f"curriculum.start={seconds:g} is not possible: episodes last {self.longest:g} s at most with "
+                f"difficulty={context.difficulty:g}. Give less."
+            )
         self.move(seconds)
 
     def move(self, seconds: float) -> None:

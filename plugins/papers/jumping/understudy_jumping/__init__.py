@@ -2,7 +2,7 @@
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "networks", "skills", "tensors", "terms", "mujoco", "motion", "characters", "humanoid", "judging", "ppo", "deepmimic", "pose_vae",
+    "networks", "skills", "tensors", "terms", "curricula", "sequencing", "mujoco", "motion", "characters", "humanoid", "judging", "ppo", "deepmimic", "pose_vae",
     "report", "reinforcement",
 )  # fmt: skip
 
@@ -16,6 +16,7 @@ PARTS = {
     "initial_states": {
         "jumping/takeoff": ("initial_states:Takeoffs", "at take-offs of given features"),
         "jumping/harvested": ("initial_states:Harvested", "where run-ups ended"),
+        "jumping/approach": ("approach:Approach", "where a run-up to the bar begins"),
         "jumping/run_up": ("run_up:Beginnings", "in the run-up's clip"),
     },
     "memory": {
@@ -23,6 +24,7 @@ PARTS = {
     },
     "fields": {
         "jumping/jump": ("attempt:Jump", "orientation over the bar, effort"),
+        "jumping/approached": ("approach:Approached", "where the clip is on an approach"),
         "jumping/arrival": ("run_up:Arrival", "how near the take-off is to the one wanted"),
     },
     "encoder": {

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
+from understudy.running.soundness import rows
 from understudy.task import Context, Fields, Memory, Shape
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import arena_of
@@ -56,13 +57,18 @@ class Attempt(Memory):
         #: nothing else before them (section 4.7.2).
         landing: Literal["trunk", "feet"] = "trunk"
         tolerance: float = 0.003  #: m above a surface, within which a point still touches it
+        #: of policies in sequence: the stage, from 0, with which the attempt begins; what was before does not count
+        stage: int = 0
 
         def __post_init__(self) -> None:
             check_range(self, "behind", "tolerance", least=0, most=1e3)
+            check_range(self, "stage", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "memory 'jumping/attempt'"
         self._options, self._arena = options, arena_of(context, who)
+        if options.stage:
+            self.reads = (*self.reads, "stage")
         self._body = body = body_of(context, who)
         if options.take_off not in body.names:
             raise ConfigError(
@@ -93,6 +99,28 @@ class Attempt(Memory):
         return {**flags, **passes, "body_ends": ends}
 
     def advance(
+        self,
+        kept: Mapping[str, Tensor],
+        geom_xpos: Tensor,
+        geom_xmat: Tensor,
+        obstacle_height: Tensor,
+        obstacle_width: Tensor,
+        mat_height: Tensor,
+        stage: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        found = self._so_far(
+            kept, geom_xpos, geom_xmat, obstacle_height, obstacle_width, mat_height
+        )
+        if stage is None:
+            return found
+        begun = self.begin(geom_xpos, geom_xmat, mat_height=mat_height)
+        early = stage < self._options.stage
+        return {
+            name: torch.where(rows(early, value), begun[name], value)
+            for name, value in found.items()
+        }
+
+    def _so_far(
         self,
         kept: Mapping[str, Tensor],
         geom_xpos: Tensor,

@@ -13,6 +13,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_curricula.episodes import first_difficulty
 from understudy_tensors.groups import Groups
 
 
@@ -55,7 +56,7 @@ class Accumulated(Curriculum):
                 "Give as many as there are take-offs (initial_states.others, and one)."
             )
         self._options, self._target = options, context.difficulty
-        first = self._target if context.evaluating else min(options.start, self._target)
+        first = first_difficulty(options.start, context)
         self._difficulty = [first] * options.groups
         self._sums = [0.0] * options.groups
         self._groups = Groups([str(row) for row in range(options.groups)], context)

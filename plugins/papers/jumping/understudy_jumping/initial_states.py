@@ -141,14 +141,7 @@ class Harvested(InitialStates):
         who = "initial_states 'jumping/harvested'"
         scene, device = context.need_scene(CharacterScene, who), context.device
         self._arena, self._distance = arena_of(context, who), options.distance
-        states = bank.starts(options.file, context, "initial_states")
-        sizes = {"qpos": scene.model.nq, "qvel": scene.model.nv}
-        for name, size in sizes.items():
-            if name not in states or tuple(states[name].shape[1:]) != (size,):
-                raise ConfigError(
-                    f"initial_states: the bank {options.file} has no states of this athlete ('{name}' "
-                    f"of {size} numbers). Harvest the run of a run-up (job=harvest)."
-                )
+        states = athletes_states(options.file, context, scene)
         qpos, qvel = states["qpos"].to(device), states["qvel"].to(device)
         self._at, dof = scene.layout.root_address, scene.layout.root_dof
         at = self._at
@@ -177,6 +170,24 @@ class Harvested(InitialStates):
             "takeoff_features": self._features[row],
             **obstacle_at(self._arena, difficulty),
         }
+
+
+def athletes_states(file: str, context: Context, scene: CharacterScene) -> dict[str, Tensor]:
+    """The states of a bank of this athlete.
+
+    Raises
+    ------
+    ConfigError
+        it is of another.
+    """
+    states = bank.starts(file, context, "initial_states")
+    for name, size in {"qpos": scene.model.nq, "qvel": scene.model.nv}.items():
+        if name not in states or tuple(states[name].shape[1:]) != (size,):
+            raise ConfigError(
+                f"initial_states: the bank {file} has no states of this athlete ('{name}' "
+                f"of {size} numbers). Harvest the run of a run-up (job=harvest)."
+            )
+    return states
 
 
 def obstacle_at(arena: Arena, difficulty: Tensor) -> dict[str, Tensor]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +28,7 @@ from understudy_characters.recording import (
 from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
 from understudy_motion.arguments import finite
-from understudy_motion.clip import Clip
+from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.writing import Shown, write_figures
 from understudy_report.video import write_video
 from understudy_skills.folder import run_folder
@@ -105,8 +106,7 @@ def _waiting(thing: Shown, whole: Clip) -> Shown:
     """`thing` of a jump with the frames of `whole`, which ends with that jump: until then it stands
     where it does as the jump begins."""
     clip = thing.clip
-    rows = torch.arange(clip.num_frames - whole.num_frames, clip.num_frames).clamp(min=0)
-    position, rotation = clip.root_position[rows], clip.rotations[rows]
+    position, rotation = sample(clip, whole.times - (whole.duration - clip.duration))
     moved = replace(clip, times=whole.times, root_position=position, rotations=rotation)
     return replace(thing, clip=moved)
 
@@ -141,8 +141,8 @@ def gap(first: Clip, second: Clip) -> tuple[float, float]:
 
 def joined(first: Clip, second: Clip) -> Clip:
     """`first`, turned about the vertical and moved on the ground so that it ends where `second` begins,
-    then `second`. The state in which an episode ends is in no recording, so `first` goes on for one
-    more frame as it moved in its last one.
+    then `second`, at frames as far apart throughout as those of the one that has more of them a second. The state in which
+    an episode ends is in no recording, so `first` goes on for one more frame as it moved in its last one.
 
     Raises
     ------
@@ -158,7 +158,8 @@ def joined(first: Clip, second: Clip) -> Clip:
     shift = torch.cat([shift[:2], torch.zeros_like(shift[2:])])
     turned = first.rotations.clone()
     turned[:, 0] = rotations.multiply(turn, turned[:, 0])
-    return replace(
+    rate = max(first.frame_rate, second.frame_rate)
+    whole = replace(
         second,
         name=f"{first.name}-{second.name}",
         times=torch.cat([first.times, 2 * first.times[-1] - first.times[-2] + second.times]),
@@ -167,6 +168,8 @@ def joined(first: Clip, second: Clip) -> Clip:
         ),
         rotations=torch.cat([turned, second.rotations]),
     )
+    alike = math.isclose(first.frame_rate, second.frame_rate, rel_tol=1e-6)
+    return whole if alike else resample(whole, rate)
 
 
 def _end(clip: Clip) -> tuple[Tensor, Tensor]:

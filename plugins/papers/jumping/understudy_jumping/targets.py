@@ -66,6 +66,16 @@ class Targets(Actuation):
             if name in joints
         }
         ranges = {**known, **options.ranges}
+        for (
+            name,
+            angles,
+        ) in options.rest.items():  # what a model's own servos cannot do holds a joint on purpose
+            for angle, (low, high) in zip(angles, ranges.get(name, ()), strict=False):
+                if not low <= angle <= high:
+                    raise ConfigError(
+                        f"actuation.rest.{name}={as_yaml(angles)} is not possible: {angle:g} rad is beyond the range of its "
+                        f"targets, {low:.4g} to {high:.4g}. Give less, or a wider one in actuation.ranges."
+                    )
         self._low, self._high = target_limits(scene, ranges, context.device, torch.pi)
         rest = [
             (*options.rest.get(name, ()), 0.0, 0.0, 0.0)[axis]

@@ -210,7 +210,8 @@ class Standing(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        noise: float = 0.05  #: largest deviation: rad, m/s and rad/s
+        #: largest deviation: rad (hinges stay within their ranges), m/s and rad/s
+        noise: float = 0.05
 
         def __post_init__(self) -> None:
             check_range(self, "noise", least=0, most=1e3)

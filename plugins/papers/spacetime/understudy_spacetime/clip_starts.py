@@ -35,7 +35,11 @@ class ClipStart(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._reference = reference_motion(context)
-        self._window = min(options.window, self._reference.duration)
+        self._window, lasts = options.window, self._reference.duration
+        if self._window > lasts:
+            raise ConfigError(
+                f"initial_states.window={self._window:g} is not possible: the clip lasts {lasts:.4g} s. Give less."
+            )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         return reference_states(self._reference, streams.uniform(1).squeeze(1) * self._window)

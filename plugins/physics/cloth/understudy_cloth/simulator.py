@@ -29,7 +29,7 @@ from understudy_cloth.mesh import (
 )
 from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
-from understudy_cloth.weight import check_sub_step
+from understudy_cloth.weight import compliance_of
 from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
@@ -79,8 +79,9 @@ class ClothSimulator(WarpSimulator):
     @dataclass(frozen=True)
     class Options:
         self_contact: bool = True  #: whether layers keep apart; on a GPU 1.7 times the time
-        every: int = 10  #: sub-steps between searches for what may touch
-        #: sub-steps from one sweep over hinges to the next, in which they act for all of these at once; null:
+        #: sub-steps between searches for what may touch, of which each control period begins with one
+        every: int = 10
+        #: sub-steps of a control period from one sweep over hinges to the next, in which they act for all of these at once; null:
         #: as many as bending is soft enough for, within 2 ms (it costs most of a sub-step)
         bending_every: int | None = None
         #: M, vertices of other layers that one may touch until the next search
@@ -103,7 +104,7 @@ class ClothSimulator(WarpSimulator):
             self._cloth, self._features, self._first = self._build(model)
             self._kernels = build_kernels(self._features)
             wp.synchronize_device()  # torch's streams wait for nobody
-        c, v = self._cloth, self._cloth.vertices
+        c, v, self._tools = self._cloth, self._cloth.vertices, self._cloth.tools
         t, g = len(model.tools), len(model.grips)
         self.control_size = 6 * t + g
         views = {
@@ -179,7 +180,8 @@ class ClothSimulator(WarpSimulator):
         pinned = _indices(model.pinned, v, "pinned")
         members = [_indices(grip.vertices, v, f"of grip {k}") for k, grip in enumerate(model.grips)]
         self._check(model, pinned, members)
-        check_sub_step(model, self._dt, self._finer)
+        self._compliance = compliance_of(model, self._dt, self._finer)
+        self._compliance.check(float(np.linalg.norm(model.gravity)), self._dt)
         threads, bent = self._device.type == "cuda", f if fabric.bending else 0
         found = distances_of(faces, corners, threads)
         hinges = hinges_of(faces[:bent], corners[:bent], threads)
@@ -304,6 +306,12 @@ class ClothSimulator(WarpSimulator):
                 raise ConfigError(f"Grip {number} is of tool {grip.tool}, which the scene has not.")
             if np.isin(vertices, pinned).any():
                 raise ConfigError(f"Grip {number} holds a vertex that is pinned: leave it to one.")
+
+    def _carrying(self) -> Tensor:
+        found = super()._carrying()
+        for number, grip in enumerate(self.model.grips):
+            found[:, grip.tool] |= self.read("grip_closed")[:, number] > 0.5
+        return found
 
     def _advance(self, count: int) -> None:
         c, kernels, features = self._cloth, self._kernels, self._features

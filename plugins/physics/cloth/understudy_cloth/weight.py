@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from understudy.errors import ConfigError
 from understudy_cloth.mesh import edges_of
 from understudy_cloth.scene import ClothModel
+from understudy_warp_torch.compliance import Compliance
 
 __all__ = ["sub_steps_needed"]
 
@@ -26,33 +24,12 @@ _LONGER, _TOO_LONG = 0.1, 0.5
 
 def sub_steps_needed(model: ClothModel) -> float:
     """Hz: with so many sub-steps a second the sound mesh of `model` becomes longer by a tenth where it hangs."""
-    return math.sqrt(_pull(model)[0] / _LONGER)
+    return compliance_of(model).sub_steps(float(np.linalg.norm(model.gravity)))
 
 
-def check_sub_step(model: ClothModel, dt: float, finer: str) -> None:
-    """Warn if in sub-steps of `dt` s the cloth is far longer than it should be where it hangs; `finer` says what shortens them.
-
-    Raises
-    ------
-    ConfigError
-        if it could not carry itself.
-    """
-    pull, edge = _pull(model)
-    longer = pull * dt**2
-    if longer <= _LONGER:
-        return
-    text = (
-        f"The cloth's sub-step of {1e3 * dt:.3g} ms is too long for edges of {1e3 * edge:.3g} mm: its own weight would make the "
-        f"cloth some {100 * longer:.0f} % longer, however stiff its fabric. Let it make {math.ceil(math.sqrt(pull / _LONGER))} "
-        f"sub-steps a second or more ({finer}), or give it larger edges."
-    )
-    if longer > _TOO_LONG:
-        raise ConfigError(text)
-    warnings.warn(text, stacklevel=2)
-
-
-def _pull(model: ClothModel) -> tuple[float, float]:
-    """1/s², times Δt² the share by which it becomes longer; and the mean edge, m."""
+def compliance_of(model: ClothModel, dt: float = 0.0, finer: str = "") -> Compliance:
+    """How far the cloth becomes longer than it should be where it hangs, in sub-steps of `dt` s; `finer` says what shortens
+    them."""
     faces = np.asarray(model.faces)
     rest = np.asarray(model.positions if model.rest is None else model.rest, float)
     corners = rest[faces] if rest.ndim == 2 else rest
@@ -63,8 +40,16 @@ def _pull(model: ClothModel) -> tuple[float, float]:
         np.asarray(them, int).ravel() for them in (model.pinned, *(g.vertices for g in model.grips))
     ]
     drop = _drop(edges, length, len(model.positions), np.concatenate(held))
-    edge, gravity = float(length.mean()), float(np.linalg.norm(model.gravity))
-    return _GIVES * gravity * drop / edge**2, edge
+    edge = float(length.mean())
+
+    def says(share: float, rate: int) -> str:
+        return (
+            f"The cloth's sub-step of {1e3 * dt:.3g} ms is too long for edges of {1e3 * edge:.3g} mm: its own weight would make "
+            f"the cloth some {100 * share:.0f} % longer, however stiff its fabric. Let it make {rate} sub-steps a second or more "
+            f"({finer}), or give it larger edges."
+        )
+
+    return Compliance(_GIVES * drop / edge**2, drop, _LONGER, _TOO_LONG, says)
 
 
 def _drop(edges: np.ndarray, length: np.ndarray, count: int, held: np.ndarray) -> float:

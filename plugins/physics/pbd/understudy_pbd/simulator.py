@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal
@@ -11,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 import warp as wp
+from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
@@ -18,6 +18,7 @@ from understudy.task import Context, Shape
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
+from understudy_warp_torch.compliance import Compliance
 from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
@@ -90,7 +91,7 @@ class ParticleSimulator(WarpSimulator):
         with self._warp.scope():
             self._system, features = self._build(model)
             self._kernels = build_kernels(features)
-        self._features = features
+        self._features, self._tools = features, self._system.tools
         self.control_size = 6 * len(model.tools)
         system = self._system
         p = system.particles
@@ -187,7 +188,8 @@ class ParticleSimulator(WarpSimulator):
             raise ConfigError("Particles of a fluid need a mass.")
         if not is_fluid.all():  # a fluid is held up by its density
             grains = np.asarray(model.positions, float)[~is_fluid]
-            self._check_sub_step(grains, 2 * float(radius[~is_fluid].max()))
+            self._compliance = self._compliance_of(grains, 2 * float(radius[~is_fluid].max()))
+            self._compliance.check(float(np.linalg.norm(model.gravity)), self._dt)
         smoothing = fluids[0].smoothing if fluids else 0.0
         widest = (
             2
@@ -267,26 +269,28 @@ class ParticleSimulator(WarpSimulator):
         )
         return s, features
 
-    def _check_sub_step(self, positions: np.ndarray, width: float) -> None:
-        """Refuse sub-steps in which piles as high as those of the `positions` (P, 3) m, of particles so wide, sink into
-        themselves; warn of those in which they give."""
+    def _compliance_of(self, positions: np.ndarray, width: float) -> Compliance:
+        """Of piles as high as those of the `positions` (P, 3) m, of particles so wide."""
         columns = np.floor(positions[:, :2] / width)
         layers = int(np.unique(columns, axis=0, return_counts=True)[1].max())
-        share = _SPRINGS_SINK if len(self.model.springs.pairs) else _GRAINS_SINK
-        share *= layers * float(np.linalg.norm(self.model.gravity))
-        share /= width * self._options.iterations
-        lower = share * self._dt**2
-        if lower <= _LOWER:
-            return
-        text = (
-            f"The particles' sub-step of {1e3 * self._dt:.3g} ms is too long: its own weight would make a pile of {layers} layers "
-            f"some {100 * min(lower, 1.0):.0f} % lower, where particles are {1e3 * width:.3g} mm wide. Let physics make "
-            f"{math.ceil(math.sqrt(share / _LOWER))} sub-steps a second or more (control.substeps or control.frequency), or "
-            "each of them more of the simulator's iterations."
-        )
-        if lower > _TOO_LOW:
-            raise ConfigError(text)
-        warnings.warn(text, stacklevel=2)
+        each = _SPRINGS_SINK if len(self.model.springs.pairs) else _GRAINS_SINK
+
+        def says(share: float, rate: int) -> str:
+            return (
+                f"The particles' sub-step of {1e3 * self._dt:.3g} ms is too long: its own weight would make a pile of {layers} "
+                f"layers some {100 * min(share, 1.0):.0f} % lower, where particles are {1e3 * width:.3g} mm wide. Let physics make "
+                f"{rate} sub-steps a second or more (control.substeps or control.frequency), or each of them more of the "
+                "simulator's iterations."
+            )
+
+        per_load = each * layers / (width * self._options.iterations)
+        return Compliance(per_load, layers * width, _LOWER, _TOO_LOW, says)
+
+    def _carrying(self) -> Tensor:
+        found = super()._carrying()
+        if self.model.tools:
+            found |= self.read("contact_force").flatten(1).any(1, keepdim=True)
+        return found
 
     def _seen_by_rules(self) -> Particles:
         """The system's arrays of the same names."""

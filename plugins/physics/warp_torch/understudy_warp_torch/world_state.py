@@ -38,7 +38,7 @@ class WorldState:
         self.views = dict(views)
         self.state = state
         self._simulator, self._initial, self._set_by = simulator, initial, tuple(set_by)
-        self._parameters = parameters
+        self.parameters = parameters
         self._extent, self._speed = extent, speed
         self._varied: tuple[str, ...] = ()
         first = next(iter(state.values()))
@@ -55,15 +55,15 @@ class WorldState:
             for a name that is no parameter.
         """
         for name in names:
-            if name not in self._parameters:
-                known = suggestion(name, self._parameters)
+            if name not in self.parameters:
+                known = suggestion(name, self.parameters)
                 raise ConfigError(
                     f"simulator '{self._simulator}' has no parameter '{name}' in which worlds may "
                     f"differ.{known}"
                 )
         self._varied = tuple(names)
-        self.views.update({name: self._parameters[name] for name in names})
-        return {name: tuple(self._parameters[name].shape[1:]) for name in names}
+        self.views.update({name: self.parameters[name] for name in names})
+        return {name: tuple(self.parameters[name].shape[1:]) for name in names}
 
     def set(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         """Begin `worlds` (N,) bool in `state`, whose rows (N, …) are those of all worlds."""
@@ -93,7 +93,7 @@ class WorldState:
 
     def snapshot(self) -> dict[str, Tensor]:
         """A copy of all that decides the future, varied parameters included."""
-        varied = {name: self._parameters[name] for name in self._varied}
+        varied = {name: self.parameters[name] for name in self._varied}
         return {name: view.clone() for name, view in {**self.state, **varied}.items()}
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
@@ -108,4 +108,4 @@ class WorldState:
     def _put_varied(self, worlds: Tensor, values: Mapping[str, Tensor]) -> None:
         for name in self._varied:
             if name in values:
-                put_rows(self._parameters[name], worlds, values[name])
+                put_rows(self.parameters[name], worlds, values[name])

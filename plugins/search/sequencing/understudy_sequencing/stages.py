@@ -72,8 +72,8 @@ class Stages(Actuation):
     """The policies of finished runs, one after another within one episode (the state machine of the dressing
     paper). A stage acts until its criterion holds; after the last one's, the last policy goes on.
 
-    A policy decides as often as it was trained to, and anew when its stage begins. The task's own
-    action says nothing.
+    A policy decides as often as it was trained to, and anew when its stage begins. One whose control periods are several
+    of this task's has its controls kept for so long. The task's own action says nothing.
 
     =================  ==============================================================
     field              (N,)
@@ -85,6 +85,7 @@ class Stages(Actuation):
     ``stage_lasted``   s for which its criterion has held
     ``stage_action``   (A,) what was decided last, of the largest of their actions
     ``stage_age``      control periods since that was decided
+    ``stage_control``  (U,) what is kept of a policy with longer control periods, if one has
     =================  ==============================================================
     """
 
@@ -100,7 +101,9 @@ class Stages(Actuation):
 
     def __init__(self, options: Options, context: Context) -> None:
         stages = self._stages = options.stages
-        self._controllers = [Controller.load(s.run, context, any_rate=True) for s in stages]
+        self._controllers = [
+            Controller.load(s.run, context, any_rate=True, slower=True) for s in stages
+        ]
         for number, (one, controller) in enumerate(zip(stages, self._controllers, strict=True)):
             for name in one.reads:
                 if name not in controller.reads:
@@ -126,6 +129,10 @@ class Stages(Actuation):
             ),
             "stage_action": (max(self._sizes),),
         }  # fmt: skip
+        self._held = any(controller.holds > 1 for controller in self._controllers)
+        if self._held:
+            assert context.simulator is not None
+            self.keeps = {**self.keeps, "stage_control": (context.simulator.control_size,)}
         own = (
             "stage",
             "stage_seconds",
@@ -133,6 +140,7 @@ class Stages(Actuation):
             "stage_age",
             "stage_action",
             "episode_step",
+            *(["stage_control"] if self._held else ()),
         )
         taken = [
             stage.reads.get(name, name)
@@ -150,7 +158,9 @@ class Stages(Actuation):
             self._check(fields)
             self._unchecked = False
         nothing = self._zeros()
+        kept = {"stage_control": self._zeros(*self.keeps["stage_control"])} if self._held else {}
         return {
+            **kept,
             "stage": nothing,
             "stage_seconds": nothing,
             "stage_limit": self._limits[0].expand(self._n),
@@ -226,24 +236,45 @@ class Stages(Actuation):
             new = self._controllers[number].decide(self._fields_of(number, fields))
             new = torch.nn.functional.pad(new, (0, chosen.shape[1] - size))
             chosen = torch.where(((acting == number) & decides).unsqueeze(1), new, chosen)
+        age = torch.where(decides, 1.0, stage_age + 1.0)
         return {
+            **self._kept_control(acting, age, chosen, fields),
             "stage": stage,
             "stage_seconds": seconds,
             "stage_limit": self._limits[now],
             "stage_count": self._zeros() + len(self._stages),
             "stage_lasted": torch.where(done, 0.0, lasted),
-            "stage_age": torch.where(decides, 1.0, stage_age + 1.0),
+            "stage_age": age,
             "stage_action": chosen,
         }
+
+    def _kept_control(
+        self, acting: Tensor, age: Tensor, chosen: Tensor, fields: Mapping[str, Tensor]
+    ) -> dict[str, Tensor]:
+        """The control of policies with longer control periods, new where one of these begins."""
+        if not self._held:
+            return {}
+        kept = fields["stage_control"]
+        for number, (size, controller) in enumerate(
+            zip(self._sizes, self._controllers, strict=True)
+        ):
+            if controller.holds > 1:
+                new = controller.control(chosen[:, :size], self._fields_of(number, fields))
+                begins = (acting == number) & ((age - 1.0) % controller.holds == 0)
+                kept = torch.where(begins.unsqueeze(1), new, kept)
+        return {"stage_control": kept}
 
     def control(self, action: Tensor, stage: Tensor, stage_action: Tensor, **fields: Tensor) -> Tensor:  # fmt: skip
         acting = self._number(stage).clamp(max=len(self._stages) - 1)
         fields = {**fields, "stage": stage, "stage_action": stage_action}
         found: Tensor | None = None
         for number, size in enumerate(self._sizes):
-            own = self._controllers[number].control(
-                stage_action[:, :size], self._fields_of(number, fields)
-            )
+            if self._controllers[number].holds > 1:
+                own = fields["stage_control"]
+            else:
+                own = self._controllers[number].control(
+                    stage_action[:, :size], self._fields_of(number, fields)
+                )
             found = own if found is None else torch.where((acting == number)[:, None], own, found)
         assert found is not None
         return found

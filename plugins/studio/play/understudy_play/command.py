@@ -22,10 +22,12 @@ from understudy_play.player import Player, World
 from understudy_reinforcement.long_work import LongWork
 from understudy_report.values import mapping, number
 from understudy_report.video import length, video_file, write_video
+from understudy_skills.bank import BankInputs
 from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
     BITS,
     Skill,
+    gathering,
     is_left_over,
     names,
     open_skill,
@@ -76,7 +78,7 @@ class Play(Command):
             "--pack",
             metavar="FILE",
             type=Path,
-            help="write the policy alone, rounded (.json), and say what the rounding costs",
+            help="write the policy, rounded, and the states that its task begins in (.json), and say what the rounding costs",
         )
         parser.add_argument(
             "--bits", type=int, choices=BITS,
@@ -127,6 +129,7 @@ class Play(Command):
             refuse_of_trainings(options.overrides, "what is played")
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
+            skill = gathering(skill)
             refuse_of_others(skill)
             licence = answer(open_made(options.skill))
             skill = replace(skill, card={**skill.card, "licence": licence})
@@ -217,6 +220,8 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
         found = rounding.evaluation
     else:  # the pack's starts may be easier: its card tells of these
         found = judged(rounded(skill, rounding.bits), skill.experiment)
+    refuse_of_others(skill, judged=True)
+    _say_banks(skill)
     skill = replace(skill, card={**skill.card, "weights": rounding.as_json()})
     pack(skill, file, found.as_json(skill.samples), rounding.bits)
     print(shown(f"{file}: {describe(open_skill(str(file)))}"))
@@ -232,6 +237,16 @@ def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | No
     except UnderstudyError as error:
         tell(f"It is compared from the pack's starts, since from its own it cannot be: {error}")
         return None
+
+
+def _say_banks(skill: Skill) -> None:
+    """Which banks the pack has, and how much of them."""
+    inputs = skill.experiment.inputs
+    for asked, held in (inputs.banks if isinstance(inputs, BankInputs) else {}).items():
+        whole = inputs.sizes.get(asked, len(held)) if isinstance(inputs, BankInputs) else 0
+        drawn = f"{len(held)} of the {whole}" if whole > len(held) else f"all {len(held)}"
+        evenly = ", drawn evenly, and is judged from these" if whole > len(held) else ""
+        _say(f"The pack has {drawn} states of the {asked}{evenly}.")
 
 
 def _say(line: str) -> None:

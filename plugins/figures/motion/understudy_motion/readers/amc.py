@@ -9,7 +9,8 @@ own pose all frames are parallel. The root is read as a bone whose axis is its `
 clip's joint sits where its bone begins.
 
 Lengths are in inches divided by the ``length`` of the ASF's ``:units`` (0.45 in CMU's files), unless
-the unit is given; without that line the unit is the one that makes the figure an adult. Angles are in the unit that the
+the unit is given; a figure that is then smaller than 0.4 m or larger than 3 m is refused. Without that line the unit is the
+one that makes the figure an adult. Angles are in the unit that the
 AMC says, else in the ASF's, else as in BVH. Most AMC have no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
 unless one is given (some of CMU's clips are of 60 frames/s), or a line ``:SAMPLES-PER-SECOND`` says it.
 
@@ -37,6 +38,7 @@ from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import product_of_turns, to_world
 from understudy_motion.readers.guesses import (
     MOST_RADIANS,
+    PLAUSIBLE,
     are_radians,
     may_be_radians,
     unit_of_height,
@@ -411,14 +413,26 @@ def _skeleton_of(path: Path) -> Path:
 
 def _metres(path: Path, figure: Figure, options: ReadOptions, up: Axis) -> float:
     """The metres in a unit of the figure: as given, as its file says, else as its height shows."""
-    if options.unit or figure.length_unit is not None:
-        return metres_of(options.unit or "inch") / (figure.length_unit or 1.0)
+    stated = 1.0 / (figure.length_unit or 1.0)
+    if options.unit:
+        return metres_of(options.unit) * stated
     places = [np.zeros(3)]
     tips = [figure.bones[0].tip]
     for bone, parent in zip(figure.bones[1:], figure.parents[1:], strict=True):
         places.append(tips[parent])
         tips.append(tips[parent] + bone.tip)
-    metres = unit_of_height(float(np.ptp(np.array(places + tips)[:, "xyz".index(up)])))
+    extents = np.ptp(np.array(places + tips), axis=0)
+    if figure.length_unit is not None:
+        metres = metres_of("inch") * stated
+        least, most = PLAUSIBLE
+        if not least <= (size := float(extents.max()) * metres) <= most:
+            raise FileError(
+                f"Skeleton {path}: by its section :units (inches divided by {figure.length_unit:g}) the figure is {size:.3g} m from "
+                f"end to end, and figures are {least:g} to {most:g} m. Give motion.unit, one of {', '.join(METRES)}, or the "
+                "metres in a unit (--unit), before that division; inch if this is its size."
+            )
+        return metres
+    metres = unit_of_height(float(extents["xyz".index(up)]))
     if metres is None:
         raise FileError(
             f"Skeleton {path}: it has no section :units, and its unit of length cannot be told from the figure; give "

@@ -1,0 +1,110 @@
+"""A run-up and a jump in one episode, by two runs that learned next to nothing."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from worlds import SMALL
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy_skills import bank
+from understudy_tensors import rotations
+
+TINY = (
+    *SMALL, "num_worlds=4", "learner.rollout_steps=8", "budget.samples=32", "evaluation.episodes=4",
+    "evaluation.final_episodes=4", "run.video_seconds=0",
+)  # fmt: skip
+#: Of a generated run, shortly before its take-off.
+CLIP = ("motion.name=run", "motion.file=null", "fields.arrival.at=2.0")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of ``run_up``, ``jump`` and ``end``, the bank of where the run-up ends by its mode."""
+    place = tmp_path_factory.mktemp("in_one")
+    begin = ("initial_states.begin=1.7", "initial_states.end=1.8")
+    run_up = ("task=jumping/run_up", *CLIP, *TINY, "control.substeps=10", *begin)
+    assert main(["train", *run_up, f"run.dir={place / 'run_up'}"]) == 0
+    jump = ("task=jumping/high", *TINY, "control.substeps=5")
+    assert main(["train", *jump, f"run.dir={place / 'jump'}"]) == 0
+    harvest = (
+        "job=harvest",
+        f"job.run={place / 'run_up'}",
+        "job.evaluating=true",
+        "job.deterministic=true",
+    )
+    assert main(["train", *harvest, "job.count=2", "num_worlds=2", f"run.dir={place / 'end'}"]) == 0
+    return place
+
+
+def whole(runs: Path, *words: str) -> Environment:
+    reads = (
+        "{reference_root_position: approached_position, reference_root_heading: approached_heading}"
+    )
+    first = f"{{run: {runs / 'run_up'}, until: {{field: arrived, at_least: 1}}, seconds: 5, reads: {reads}}}"
+    second = f"{{run: {runs / 'jump'}, until: {{field: landed, at_least: 1}}, seconds: 1.99}}"
+    experiment = load_experiment([
+        "experiment=jumping/in_one", *CLIP, f"actuation.stages=[{first}, {second}]", "num_worlds=2",
+        f"initial_states.file={runs / 'end'}", "initial_states.begin=1.7", *words,
+    ])  # fmt: skip
+    found = build_environment(experiment, evaluating=True).environment
+    found.reset(seed=0)
+    return found
+
+
+def at_the_take_off(environment: Environment) -> torch.Tensor:
+    """(nq,) where the first stage ends."""
+    for _ in range(60):
+        before = environment.table["qpos"][0].clone()
+        assert float(environment.table["crashed"][0]) == 0.0, "feet that run touch the ground"
+        environment.advance(torch.zeros(2, 1))
+        if float(environment.table["stage"][0]) == 1.0:
+            return before
+    raise AssertionError("it never arrives")
+
+
+def test_the_run_up_ends_as_it_does_alone(runs: Path) -> None:
+    """In the heading of its clip, so that friction along the world's axes is the same; but for the clip's velocities, which are
+    of poses twice as near to one another here."""
+    end = bank.load(runs / "end")["qpos"][0]
+    heading = float(rotations.heading(end[3:7]))
+    environment = whole(runs, f"initial_states.alpha={heading + math.pi / 2}")
+    assert float(environment.table["approach_turn"][0]) == pytest.approx(0.0, abs=1e-6)
+    shift = environment.table["approach_shift"][0].clone()
+    found = at_the_take_off(environment)
+    environment.close()
+    np.testing.assert_allclose(found[2:], end[2:], atol=3e-3)
+    np.testing.assert_allclose(found[:2], end[:2] + shift, atol=3e-3)
+
+
+@pytest.mark.parametrize("alpha", [-0.05, 1.2])
+def test_it_arrives_where_the_jump_begins(alpha: float, runs: Path) -> None:
+    environment = whole(runs, f"initial_states.alpha={alpha}", "difficulty=1.0")
+    start = environment.table["qpos"][0].clone()
+    away = environment.table["root_position"] - environment.table["approached_position"]
+    assert float(away[:, :2].abs().max()) < 1e-4, "it begins where the clip is"
+    turned = environment.table["root_heading"] - environment.table["approached_heading"]
+    assert float(turned.sin().abs().max()) < 1e-4
+    found = at_the_take_off(environment)
+    assert float(environment.table["obstacle_height"][0]) == 2.0
+    environment.close()
+    distance = 1.2 + 0.8 * max(0.0, math.sin(alpha))
+    np.testing.assert_allclose(found[:2], [-distance, 0.0], atol=0.05)
+    heading = float(rotations.heading(found[3:7]))
+    assert math.cos(heading - (alpha - math.pi / 2)) > math.cos(0.1)
+    assert float((found[:2] - start[:2]).norm()) > 0.5, "it ran there"
+
+
+def test_a_start_after_the_clip_is_refused(runs: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"initial_states\.begin=99 is not possible: the clip lasts"
+    ):
+        whole(runs, "initial_states.begin=99", "motion.name=backflip")
