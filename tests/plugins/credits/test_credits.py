@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from understudy.command.cli import main
 from understudy.setup.plugins import installed
 from understudy_credits.bibtex import entry
 from understudy_credits.terms import Purpose, judge, named
 from understudy_credits.walk import Made, answer, in_a_line, items_of, open_made
+from understudy_skills import bank
 
 CASES = {
     ("Apache-2.0", "commercial"): True,
@@ -108,6 +110,27 @@ def test_everything_is_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     )
     assert "name: Recorded by Ada." in said
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_bank_has_the_terms_of_its_clip(
+    damaged: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the clip of the run that it was harvested from."""
+    clip = {"clip": "leap", "licence": "MIT License", "attribution": "Leapt by Bea."}
+    inputs = {"bank runs/ends": {"1/bank.json": "0" * 64, "1/bank.safetensors": "0" * 64}}
+    folder = run(tmp_path, inputs=inputs)
+    bank.save(folder / "inputs" / "1" / "bank", {"qpos": torch.zeros(2, 3)}, {"clip": clip})
+    if damaged:
+        (folder / "inputs" / "1" / "bank.json").write_text("[]")
+    main(["licence", str(folder), "--for", "commercial", "--json"])
+    (item,) = [i for i in json.loads(capsys.readouterr().out)["items"] if i["what"] == "file ends"]
+    known = {"licence": "MIT License", "attribution": "Leapt by Bea."}
+    assert item == {
+        "what": "file ends",
+        "source": "bank runs/ends",
+        **({"licence": "unknown"} if damaged else known),
+    }
 
 
 def test_nothing_in_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

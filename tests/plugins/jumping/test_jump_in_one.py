@@ -12,6 +12,7 @@ from worlds import SMALL
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
+from understudy.records import checkpoint
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -43,6 +44,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert main(["train", *harvest, "job.count=2", "num_worlds=2", f"run.dir={place / 'end'}"]) == 0
     return place
+
+
+def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
+    """So that who uses it knows on what terms."""
+    about = checkpoint.load(runs / "end" / "bank")[1]["bank"]
+    assert about["clip"] == {"clip": "run", "licence": "Apache-2.0 (generated)"}
 
 
 def whole(runs: Path, *words: str) -> Environment:

@@ -265,6 +265,10 @@ class Harvest(Gathering):
     def products(self, run: Run) -> None:
         options = self.options
         about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
+        clip = self._source.info["sources"].get("motion")
+        if clip is not None:  # its terms are those of what was learned from it
+            terms = ("clip", "licence", "url", "attribution")
+            about["clip"] = {key: clip[key] for key in terms if key in clip}
         self._gathered.save(run, about, self._built.scene if self._built else None)
 
     def sources(self) -> Mapping[str, Any]:

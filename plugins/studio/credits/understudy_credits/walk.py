@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 from understudy.errors import RunError
 from understudy.folders import read
 from understudy.records import runs
+from understudy.records.checkpoint import read_sealed
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_credits.terms import PURPOSES, Purpose, Verdict, judge, named
@@ -166,8 +168,13 @@ def _data(made: Made, registry: Registry, depth: int) -> Iterator[Item]:
     yield from _model(made.info, copies, registry)
     for asked, files in copies.items():
         if not asked.startswith(("motion.", "clip ", "mjcf ", "controller ")):
+            name = f"file {Path(asked.partition('=')[2] or asked).name}"
+            clip = _harvested_from(files) if asked.startswith("bank ") else {}
             yield Item(
-                f"file {Path(asked.partition('=')[2] or asked).name}", _beside(files), source=asked
+                name,
+                words.text(clip.get("licence") or _beside(files)),
+                words.text(clip.get("attribution") or ""),
+                words.text(clip.get("url") or asked),
             )
     yield from _weights(made, sources, copies, registry, depth)
 
@@ -211,6 +218,16 @@ def _model(
         yield Item(f"model {asked}", _distribution_licence(component.distribution))
     elif asked and not of_files:
         yield Item(f"model {Path(asked).name}", "unknown")
+
+
+def _harvested_from(files: list[Path]) -> Mapping[str, Any]:
+    """What is known of the clip that a bank's run learned from; nothing where it had none, or is damaged."""
+    for path in files:
+        if path.suffix == ".json":
+            with suppress(RunError):
+                about = mapping(mapping(mapping(read_sealed(path)).get("meta")).get("bank"))
+                return mapping(about.get("clip"))
+    return {}
 
 
 def _beside(files: list[Path]) -> str:
