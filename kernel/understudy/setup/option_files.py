@@ -10,7 +10,8 @@ import contextlib
 import copy
 import functools
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from stat import S_ISREG
@@ -33,7 +34,7 @@ from omegaconf._utils import get_yaml_loader
 from understudy.errors import ConfigError
 from understudy.options import as_typed, each, plain
 
-__all__ = ["OptionFiles", "choices", "compose", "parsed"]
+__all__ = ["OptionFiles", "choices", "compose", "parsed", "resolved"]
 
 #: A version of a file: its path, time of change, size and inode.
 Version = tuple[str, int, int, int]
@@ -150,7 +151,7 @@ def compose(
             content = _laid(content, {k: v for k, v in said.items() if k not in others})
         config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
         _merged[key] = files.versions, config
-    config = copy.deepcopy(config)
+    config = _copied(config)
     for override in values:
         value = each(override.value(), _number)
         if isinstance(value, Mapping) and "name" in value and not override.is_delete():
@@ -158,6 +159,40 @@ def compose(
         override = replace(override, _value=value)
         ConfigLoaderImpl._apply_overrides_to_config([override], config)
     return config
+
+
+def resolved(config: DictConfig) -> Any:
+    """`config` as plain data, as OmegaConf's ``to_container`` makes it. That takes longer, and is
+    asked only where a word refers to others (``${…}``)."""
+
+    def of(node: Any) -> Any:
+        value = vars(node).get("_content", vars(node).get("_val"))
+        if isinstance(value, str) and "${" in value:
+            raise LookupError
+        return _inside(value, of)
+
+    try:
+        return of(config)
+    except LookupError:
+        return OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
+
+
+def _copied(node: Any, parent: Any = None) -> Any:
+    """As :func:`copy.deepcopy` of OmegaConf's `node`, in a tenth of the time; leaves are shared."""
+    copied, about = object.__new__(type(node)), object.__new__(type(node._metadata))
+    own = dict(flags={**node._metadata.flags}, resolver_cache=defaultdict(dict))
+    vars(about).update(vars(node._metadata), **own)
+    vars(copied).update(vars(node), _metadata=about, _parent=parent, _flags_cache=None)
+    if "_content" in vars(node):
+        vars(copied)["_content"] = _inside(node._content, lambda item: _copied(item, copied))
+    return copied
+
+
+def _inside(value: Any, change: Callable[[Any], Any]) -> Any:
+    """`value` with `change` applied to what a dictionary or list holds."""
+    if isinstance(value, dict):
+        return {key: change(item) for key, item in value.items()}
+    return [*map(change, value)] if isinstance(value, list) else value
 
 
 def _laid(old: Any, new: Any) -> Any:

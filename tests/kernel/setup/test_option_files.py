@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ from understudy.errors import ConfigError
 from understudy.options import plain
 from understudy.setup import option_files
 from understudy.setup.composition import compose_raw
-from understudy.setup.option_files import OptionFiles, compose, parsed
+from understudy.setup.option_files import OptionFiles, compose, parsed, resolved
 from understudy.setup.plugins import Plugins
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -154,6 +155,50 @@ def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> No
     folders = [folder for _, folder in plugins.folders()]
     ours = OmegaConf.to_container(compose(folders, overrides))
     assert plain(ours) == OmegaConf.to_container(hydras(folders, overrides))
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["experiment=spacetime/walk", "++learner.gamma=0.5", "++run.dir='1e3'"],
+        [
+            "experiment=miniature/go",
+            "++start.file=???",
+            "++memory.of=null",
+            "++more=[1,{a: [b, null]}]",
+        ],
+        ["experiment=dressing/sleeve", "num_worlds=7"],  # which refers to another key
+        ["++a=${b}", "++b={c: ${num_worlds}}", "++num_worlds=3"],
+    ],
+)
+def test_plain_data_are_what_omegaconf_makes(overrides: list[str], plugins: Plugins) -> None:
+    config = compose([folder for _, folder in plugins.folders()], overrides)
+    theirs = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
+    assert repr(resolved(config)) == repr(theirs)
+
+
+def test_a_reference_to_nothing_is_omegaconfs_error(plugins: Plugins) -> None:
+    config = compose([folder for _, folder in plugins.folders()], ["++a=${nothing}"])
+    with pytest.raises(OmegaConfBaseException, match="nothing"):
+        resolved(config)
+
+
+def test_copies_share_nothing_that_changes() -> None:
+    """They are what ``copy.deepcopy`` makes: flags, what a node is inside, and its key."""
+    made = OmegaConf.create({"a": {"b": [1, {"c": None}]}, "d": "${a}"}, flags={"struct": True})
+    ours, theirs = option_files._copied(made), copy.deepcopy(made)
+    for copied in (ours, theirs):
+        with pytest.raises(OmegaConfBaseException, match="'x' is not in struct"):
+            copied.a.b[1].x = 1
+        assert copied.a.b[1]._get_full_key("c") == "a.b[1].c"
+        assert copied.a.b[1]._get_parent()._get_parent()._get_parent() is copied
+        assert copied.d == copied.a
+        copied.a.b.append(2)
+        copied.a.b[1].c = 5
+        OmegaConf.set_readonly(copied.a, True)
+    assert made == {"a": {"b": [1, {"c": None}]}, "d": "${a}"}
+    assert not OmegaConf.is_readonly(made.a)
+    assert ours == theirs != made
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:
