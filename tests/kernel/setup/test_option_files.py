@@ -6,6 +6,7 @@ import copy
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import lazy_choices
 import pytest
@@ -183,22 +184,45 @@ def test_a_reference_to_nothing_is_omegaconfs_error(plugins: Plugins) -> None:
         resolved(config)
 
 
-def test_copies_share_nothing_that_changes() -> None:
-    """They are what ``copy.deepcopy`` makes: flags, what a node is inside, and its key."""
-    made = OmegaConf.create({"a": {"b": [1, {"c": None}]}, "d": "${a}"}, flags={"struct": True})
-    ours, theirs = option_files._copied(made), copy.deepcopy(made)
-    for copied in (ours, theirs):
-        with pytest.raises(OmegaConfBaseException, match="'x' is not in struct"):
-            copied.a.b[1].x = 1
-        assert copied.a.b[1]._get_full_key("c") == "a.b[1].c"
-        assert copied.a.b[1]._get_parent()._get_parent()._get_parent() is copied
-        assert copied.d == copied.a
-        copied.a.b.append(2)
-        copied.a.b[1].c = 5
-        OmegaConf.set_readonly(copied.a, True)
-    assert made == {"a": {"b": [1, {"c": None}]}, "d": "${a}"}
-    assert not OmegaConf.is_readonly(made.a)
-    assert ours == theirs != made
+def nodes(node: Any) -> list[Any]:
+    """What OmegaConf knows of `node` and all within, but for the nodes above."""
+    known, content = vars(node), vars(node).get("_content")
+    own = {name: value for name, value in known.items() if name not in ("_parent", "_content")}
+    within = content.values() if isinstance(content, dict) else content or ()
+    assert all(vars(item)["_parent"] is node for item in within)
+    keys = [*content] if isinstance(content, dict) else None
+    return [type(node), own, keys, *map(nodes, within)]
+
+
+MADE = {"a": {"b": [1, {"c": None}, [], 0.5]}, "d": "${a}", "e": "???", "f": {}, "g": True}
+
+
+def test_nodes_are_as_omegaconf_makes_them() -> None:
+    """What they know of themselves, too; and they share nothing that changes."""
+    given = copy.deepcopy(MADE)
+    flags = {"allow_objects": True, "struct": True}
+    theirs = OmegaConf.create(given, flags=flags)
+    for _ in range(2):
+        ours = option_files._node(given)._set_flag(list(flags), True)
+        assert nodes(ours) == nodes(theirs)
+        with pytest.raises(OmegaConfBaseException, match=r"'x' is not in struct\n.*a.b\[1\].x"):
+            ours.a.b[1].x = 1
+        assert ours.d == ours.a
+        ours.a.b.append(2)
+        ours.a.b[1].c = 5
+        OmegaConf.set_readonly(ours.a, True)
+        assert given == MADE
+
+
+@pytest.mark.parametrize("word", ["${", "${a", "${a:", "x ${{a}"])
+def test_a_reference_that_cannot_be_read_is_omegaconfs_error(word: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(f"a: {{b: '{word}'}}\n")
+    with pytest.raises(OmegaConfBaseException) as theirs:
+        OmegaConf.create({"a": {"b": word}}, flags={"allow_objects": True, "struct": True})
+    with pytest.raises(OmegaConfBaseException) as ours:
+        compose([tmp_path], [])
+    assert str(ours.value).splitlines()[0] == str(theirs.value).splitlines()[0]
+    assert type(ours.value) is type(theirs.value)
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:
