@@ -193,7 +193,7 @@ def _node(value: Any, key: Any = None, parent: Any = None) -> Any:
     node, about = object.__new__(type(like)), object.__new__(type(like._metadata))
     own = dict(key=key, flags={}, resolver_cache=defaultdict(dict))
     vars(about).update(vars(like._metadata), **own)
-    vars(node).update(_metadata=about, _parent=parent, _flags_cache=None)
+    vars(node).update(vars(like), _metadata=about, _parent=parent, _flags_cache=None)
     if isinstance(value, dict):
         vars(node)["_content"] = {k: _node(item, k, node) for k, item in value.items()}
     elif isinstance(value, list):
