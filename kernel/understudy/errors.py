@@ -10,17 +10,9 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
-    "ConfigError",
-    "FileError",
-    "PluginError",
-    "PreemptedError",
-    "RunError",
-    "TrainingError",
-    "UnderstudyError",
-    "said",
-    "shown",
-    "suggestion",
-]
+    "ConfigError", "FileError", "PluginError", "PreemptedError", "RunError", "TrainingError",
+    "UnderstudyError", "said", "shown", "suggestion",
+]  # fmt: skip
 
 
 class UnderstudyError(Exception):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import json
 import re
@@ -287,8 +288,14 @@ def _offer(group: str, offer: Offer, plugins: Plugins) -> str:
 
 
 def _chooses(offer: Offer, component: str) -> bool:
-    content = yaml.safe_load(offer.text)
-    return isinstance(content, Mapping) and content.get("name") == component
+    return _named_in(offer.text) == component
+
+
+@functools.lru_cache(1024)  # asked for each component of a kind
+def _named_in(text: str) -> Any:
+    """The component that a file of options names, if it names one."""
+    content = yaml.safe_load(text)
+    return content.get("name") if isinstance(content, Mapping) else None
 
 
 def _paragraphs(thing: Any) -> Iterator[str]:
