@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -60,7 +61,7 @@ def player(walk: skills.Skill) -> Iterator[Player]:
 @pytest.mark.parametrize("name", [name for name in skills.names() if name not in PLAYED_BY])
 def test_a_skill_plays_two_seconds_without_falling(name: str) -> None:
     skill = open_skill(name)
-    clip = clip_of(skill)
+    clip = clip_of(skill.card)
     if clip and not list((data_folder() or Path()).glob(f"motions/*/{clip}.*")):
         pytest.skip(f"no clip {clip}: UNDERSTUDY_DATA is not set, or has none of that name")
     player = Player(skill)
@@ -472,6 +473,34 @@ def test_without_a_name_it_lists_what_there_is(capsys: pytest.CaptureFixture[str
     assert "spacetime/walk: 364,544 samples" in listed
     backflip = next(line for line in listed.splitlines() if line.startswith("spacetime/backflip"))
     assert backflip.endswith("; needs the clip humanoid3d_backflip")
+
+
+@pytest.mark.parametrize("damage", ["cut", "another's card", "gone"])
+def test_a_damaged_skill_of_a_plugin_is_named_and_left_out_of_the_list(
+    damage: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    state, card = checkpoint.load(file_of("sitting/sit"))
+    checkpoint.save(tmp_path / "bad", state, {**card, "samples": "many"})
+    file = tmp_path / "bad.json"
+    if damage == "cut":
+        file.write_bytes(file.read_bytes()[:100])
+    elif damage == "gone":
+        file.unlink()
+    registry = installed().registry
+    skill = registry.components["skill", "sitting/sit"]
+    monkeypatch.setitem(
+        registry.components,
+        ("skill", "sitting/sit"),
+        replace(skill, target=lambda: tmp_path / "bad"),
+    )
+    assert main(["play"]) == 0
+    listed, said = capsys.readouterr()
+    assert "sitting/turn_left: " in listed
+    assert "sitting/sit: " not in listed
+    assert re.search(r"^understudy: sitting/sit is left out: .*bad", said, re.MULTILINE)
 
 
 def test_a_skill_whose_clip_is_not_here_says_where_clips_come_from(

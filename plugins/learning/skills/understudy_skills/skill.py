@@ -42,6 +42,7 @@ __all__ = [
     "names",
     "open_skill",
     "pack",
+    "read_card",
     "refuse_of_others",
     "rounded",
     "unpack",
@@ -156,6 +157,36 @@ def open_skill(
     )
 
 
+def read_card(name: str, registry: Registry | None = None) -> Mapping[str, Any]:
+    """What is known of a skill that comes with a plugin, for people. Its weights are not read, nor is it found out whether
+    its task can be built here.
+
+    Raises
+    ------
+    ConfigError
+        if there is no such skill.
+    RunError
+        if its card is damaged.
+    """
+    path: Path = (registry or installed().registry).find("skill", name).call()
+    document = checkpoint.read_sealed(path.with_name(f"{path.name}.json"))
+    card = document.get("meta") if isinstance(document, Mapping) else None
+    if not isinstance(card, Mapping):
+        raise RunError(f"{path} is no packed skill: it has no card.")
+    _check_card(card, path)
+    return card
+
+
+def _check_card(card: Mapping[str, Any], path: Path) -> None:
+    """Refuse a card whose parts are none, whoever wrote it."""
+    for key in ("config", "sources", "evaluation"):
+        if not isinstance(card.get(key) or {}, Mapping):
+            raise RunError(f"{path} is no packed skill: its {key} is no mapping.")
+    samples = card.get("samples")
+    if type(samples) is not int or not 0 <= samples < 2**63:
+        raise RunError(f"{path} is no packed skill: its samples are {str(samples)[:40]}.")
+
+
 def _of_run(
     path: Path, overrides: Sequence[str], registry: Registry, without: Collection[str]
 ) -> Skill:
@@ -207,20 +238,15 @@ def _packed(
         words = replaced(_words_of(card, name), overrides)
         refuse_resolvers(words[: len(words) - len(overrides)], name)
         card = {**card, "overrides": words, "config": compose_raw(words), "evaluation": None}
+    _check_card(card, path)
     try:
-        for key in ("config", "sources", "evaluation"):
-            if not isinstance(card.get(key) or {}, Mapping):
-                raise TypeError(f"{key} is no mapping")
         tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
-        samples = card["samples"]
-        if type(samples) is not int or not 0 <= samples < 2**63:
-            raise ValueError(f"samples are {str(samples)[:40]}")
         experiment = replace(validate(_less(card["config"], without), registry), inputs=inputs)
     except ConfigError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{path} is no packed skill: {type(error).__name__}: {error}.") from error
-    return Skill(name, experiment, tensors, samples, card)
+    return Skill(name, experiment, tensors, card["samples"], card)
 
 
 def _loaded(path: Path) -> tuple[dict[str, Any], dict[str, Any], BankInputs]:

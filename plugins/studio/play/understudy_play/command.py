@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,7 @@ from understudy_skills.skill import (
     names,
     open_skill,
     pack,
+    read_card,
     refuse_of_others,
     rounded,
     unpack,
@@ -111,11 +114,7 @@ class Play(Command):
                 f"--{asked[0]} needs a skill. Name one; `understudy play` alone lists them."
             )
         if options.skill is None:
-            for name in names():
-                skill = open_skill(name)
-                clip = clip_of(skill)
-                needs = f"; needs the clip {clip}" if clip else ""
-                print(shown(f"{name}: {describe(skill)}{needs}"))
+            _list()
             return 0
         if options.follow and (options.video or options.pack or options.unpack):
             raise ConfigError("--follow shows a page. Leave out --video, --pack and --unpack.")
@@ -143,9 +142,22 @@ class Play(Command):
         return serve(lambda: Player(skill), options)
 
 
-def clip_of(skill: Skill) -> str | None:
-    """The clip of the data folder that `skill` needs to be played; none where it is generated."""
-    name = (skill.card["config"].get("motion") or {}).get("name")
+def _list() -> None:
+    """The skills that come with plugins, a line each; one whose card is damaged is named and left out."""
+    for name in names():
+        try:
+            card = read_card(name)
+        except UnderstudyError as error:
+            print(shown(f"understudy: {name} is left out: {error}"), file=sys.stderr)
+            continue
+        clip = clip_of(card)
+        needs = f"; needs the clip {clip}" if clip else ""
+        print(shown(f"{name}: {describe(card)}{needs}"))
+
+
+def clip_of(card: Mapping[str, Any]) -> str | None:
+    """The clip of the data folder that the skill of this `card` needs to be played; none where it is generated."""
+    name = mapping(mapping(card.get("config")).get("motion")).get("name")
     known = installed().registry.names("clip")
     return name if isinstance(name, str) and name not in known else None
 
@@ -187,15 +199,16 @@ def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
     return 0
 
 
-def describe(skill: Skill) -> str:
-    """A sentence about `skill`, from its card."""
-    found = mapping(skill.card.get("evaluation"))
+def describe(card: Mapping[str, Any]) -> str:
+    """A sentence about the skill of this `card`."""
+    found = mapping(card.get("evaluation"))
     rate, judged = number(found.get("success_rate")), ""
     if rate is not None:
         judged = (
             f"; {rate:.0%} of {found.get('episodes')} held-out episodes: {found.get('success')}"
         )
-    return f"{skill.samples:,} samples, seed {skill.experiment.root.seed}{judged}"
+    seed = mapping(card.get("config")).get("seed", 0)
+    return f"{card['samples']:,} samples, seed {seed}{judged}"
 
 
 def _packed_file(path: Path) -> Path:
@@ -224,7 +237,7 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
     _say_banks(skill)
     skill = replace(skill, card={**skill.card, "weights": rounding.as_json()})
     pack(skill, file, found.as_json(skill.samples), rounding.bits)
-    print(shown(f"{file}: {describe(open_skill(str(file)))}"))
+    print(shown(f"{file}: {describe(open_skill(str(file)).card)}"))
     return 0
 
 
