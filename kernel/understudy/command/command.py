@@ -17,7 +17,7 @@ __all__ = ["Command", "tell"]
 def tell(text: str) -> None:
     """Show a message to whoever runs the command."""
     with contextlib.suppress(OSError, RuntimeError, AttributeError):  # no terminal; or a signal
-        sys.stderr.write(f"{shown(text)}\n")  # of which print makes stdout's if it is closed
+        print(shown(text), file=sys.stderr, flush=sys.stderr.writable())  # fails if it is closed
 
 
 class Command(ABC):

@@ -61,6 +61,9 @@ class _Stderr(io.TextIOBase):
     def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         return getattr(self._stream, "encoding", "utf-8")
 
+    def writable(self) -> bool:
+        return True
+
     def isatty(self) -> bool:
         return self._stream is not None and self._stream.isatty()
 
