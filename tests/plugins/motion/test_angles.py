@@ -116,6 +116,13 @@ def test_tables_of_r_and_spreadsheets(tmp_path: Path, lines: list[str], named: b
     assert (clip.num_frames, clip.joint_names) == (3, ("root", *joints))
 
 
+@pytest.mark.parametrize("cell", ['"' + "0" * 200_000, '"0.1', '"a"b', '""'])
+def test_quotes_around_no_number_are_refused(tmp_path: Path, cell: str) -> None:
+    (tmp_path / "clip.csv").write_text("\n".join([row(), f"{cell},{row()}", row()]))
+    with pytest.raises(FileError, match=r"line 2: .*(is not a number|9 numbers are needed)"):
+        AnglesReader().read(tmp_path / "clip.csv")
+
+
 def test_names_of_rows_of_a_long_table(tmp_path: Path) -> None:
     """Of which only the beginning is looked at, whose last line is cut."""
     path = tmp_path / "clip.csv"

@@ -14,6 +14,7 @@ What an angle means only the robot's model says. So the clip has a joint ``angle
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 import re
@@ -200,8 +201,9 @@ def _laid_out(raw: Sequence[str]) -> list[str]:
     for n, line in enumerate(lines):
         if '"' in line and not line.lstrip(' "').startswith(REMARKS):
             between = _delimiter(line) or " "
-            cells = next(csv.reader([line], delimiter=between, skipinitialspace=True), [])
-            lines[n] = between.join(cell.strip().replace(",", ".") for cell in cells)
+            with contextlib.suppress(csv.Error):  # then a quote will be no number
+                cells = next(csv.reader([line], delimiter=between, skipinitialspace=True), [])
+                lines[n] = between.join(cell.strip().replace(",", ".") for cell in cells)
     plain = without_comments(lines)
     at = next((n for n, line in enumerate(plain) if line), None)
     if at is not None:
