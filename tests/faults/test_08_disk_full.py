@@ -161,3 +161,15 @@ def test_what_is_printed_onto_a_full_disk(tmp_path: Path, words: str, unbuffered
     assert ended.returncode == 2
     said = "understudy: What is printed cannot be written: No space left on device.\n"
     assert ended.stderr == said
+
+
+def test_what_is_printed_where_nothing_may_be_written(tmp_path: Path) -> None:
+    with Path(os.devnull).open() as readable:
+        ended = subprocess.run(
+            [sys.executable, "-m", "understudy", "runs", "."], cwd=tmp_path, stdout=readable, stderr=subprocess.PIPE,
+            text=True, env=child_environment(),
+        )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (
+        2,
+        "understudy: What is printed cannot be written: Bad file descriptor.\n",
+    )

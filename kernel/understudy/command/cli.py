@@ -33,7 +33,7 @@ from understudy.signals import StopRequest
 
 __all__ = ["main"]
 
-_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  #: of a full disk, or a full share of it
+_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF)  #: of a full disk or share
 #: Errors by which a file cannot be used at all, not even to find out whether it is there.
 _UNUSABLE = (*_UNPRINTED, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP)
 

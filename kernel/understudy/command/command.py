@@ -16,8 +16,8 @@ __all__ = ["Command", "tell"]
 
 def tell(text: str) -> None:
     """Show a message to whoever runs the command."""
-    with contextlib.suppress(OSError, RuntimeError):  # no terminal; or a signal while this prints
-        print(shown(text), file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError, RuntimeError, AttributeError):  # no terminal; or a signal
+        print(shown(text), file=sys.stderr, flush=sys.stderr.writable())  # fails if it is closed
 
 
 class Command(ABC):

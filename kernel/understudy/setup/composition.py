@@ -65,9 +65,9 @@ def readable(override: str) -> str:
         return override
     _check_length(override)
 
-    def reads(text: str) -> bool:
+    def reads(text: str, several: bool = False) -> bool:
         try:
-            return not parsed(f"{key}={text}").is_sweep_override()
+            return parsed(f"{key}={text}").is_sweep_override() == several
         except (HydraException, RecursionError):
             return False
 
@@ -77,12 +77,11 @@ def readable(override: str) -> str:
     if value != value.strip():
         if not value.lstrip().startswith(("[", "{", "'", '"')):
             return f"{key}={quoted(value)}"  # which Hydra would strip
-        value = value.strip()
-        override = f"{key}={value}"
+        override = f"{key}={(value := value.strip())}"
     structured = value.startswith(("[", "{")) and not exists(value)
     if not reads(value) and re.fullmatch(_MORE, value):
         return f"{key}={quoted(value)}"
-    if reads(value) or (value.count(",") and not exists(value) and not structured):
+    if reads(value) or ("," in value and reads(value, True) and not (exists(value) or structured)):
         return override
     if structured:
         words = _each_word(value, lambda word: word if reads(word) else quoted(word))
@@ -109,7 +108,8 @@ def _each_word(value: str, mend: Callable[[str], str]) -> str:
             if key in keys[-1]:
                 raise ConfigError(f"'{key}' stands twice in {value[:200]}. Write it once.")
             keys[-1] |= {key} - {""}
-            result, word = result + (word if sign == ":" else ended()) + sign, ""
+            word = re.sub(r"(?<!\\)[=()]", r"\\\g<0>", word) if sign == ":" else ended()
+            result, word = result + word + sign, ""
             if sign in "[{":
                 within, keys = [*within, sign], [*keys, set()]
             elif sign in "]}" and len(within) > 1:
@@ -193,7 +193,7 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     if slashed := re.search(r"Could not override '(\w+/[\w/]+)'", text):
         dotted = slashed[1].replace("/", ".")
         return f"There is no configuration key '{slashed[1]}'. A part's option has dots: {dotted}=VALUE."
-    if stray := re.search(r"Could not override '(\w+)'", text):
+    if stray := re.search(r"Could not override '([^']+)'", text):
         if slot := plugins.registry.slots.get(stray[1]):
             one = "{name: COMPONENT, …}"
             form = f"{{NAME: {one}}}" if slot.many else one

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import ast
+import errno
+import io
+import os
+import sys
+from pathlib import Path
 
 import pytest
 
 from understudy.command import cli
-from understudy.command.command import Command
+from understudy.command.command import Command, tell
 from understudy.errors import FileError
 from understudy.setup import plugins
 from understudy.setup.registry import Registrar
@@ -94,3 +100,36 @@ def test_a_command_of_a_bundled_name_is_refused() -> None:
         in loaded.registry.broken["taker"]
     )
     assert loaded.registry.find("command", "train").plugin == "training"
+
+
+class Gone(io.StringIO):
+    """Standard error whose terminal is gone."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+    def write(self, text: str) -> int:
+        raise OSError(self.number, os.strerror(self.number))
+
+
+@pytest.mark.parametrize("stream", [None, Gone(errno.EIO), Gone(errno.EPIPE), Gone(errno.ENOSPC)])
+def test_what_nobody_can_be_told_is_not_printed_instead(
+    stream: Gone | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where standard error is closed, ``print`` would take standard output, which programs read."""
+    monkeypatch.setattr(sys, "stderr", stream)
+    tell("hello")
+    assert cli.main(["say", "hello", "nobody"]) == 2
+    assert capsys.readouterr().out == ""
+
+
+def test_all_that_plugins_say_is_told() -> None:
+    """``print(…, file=sys.stderr)`` would end the work where nobody reads it any more."""
+    plugins = Path(__file__).parents[3] / "plugins"
+    for file in plugins.rglob("*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        printing = [c for c in calls if ast.unparse(c.func) == "print"]
+        said = [c for c in printing if any(k.arg == "file" for k in c.keywords)]
+        assert not said or file.name == "apart.py", file  # whose process its parent listens to

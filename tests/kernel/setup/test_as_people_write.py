@@ -124,8 +124,37 @@ def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
         (["~num_worlds=3"], "~num_worlds leaves nothing out: nothing that was chosen sets num_worlds."),
         (["budget.samples=5", "~budget.samples=7"], "~budget.samples=7 leaves nothing out: budget.samples is 5."),
         (["seed=${abc}"], "${abc} takes the value of a key, and there is none of this name."),
+        (["run.dir=a${b"], "run.dir='a${b' cannot be read: what follows ${ is no name of a key, or } is missing."),
+        (["run.dir=${}"], "run.dir='${}' cannot be read: what follows ${ is no name of a key, or } is missing."),
+        (["learner-gamma=0.9"], "There is no configuration key 'learner-gamma'. Did you mean 'learner'?"),
     ],
 )  # fmt: skip
 def test_what_hydra_says_is_said_in_our_words(words: list[str], said: str) -> None:
     with pytest.raises(ConfigError, match=f"^{re.escape(said)}"):
         compose_raw(["task=miniature/go", *words])
+
+
+@pytest.mark.parametrize(
+    "name", ["lr=0.1,seed=3", "a,", ",", "a=1,2", "ü,ö", "(a,b)", "walk(1),2.bvh", "#1,#2"]
+)
+def test_names_that_are_several_values_to_nobody_are_text(name: str) -> None:
+    """Of one with a comma it was said that its brackets and quotes are wrong, which it does not have."""
+    assert compose_raw(["task=miniature/go", f"run.dir={name}"])["run"]["dir"] == name
+
+
+@pytest.mark.parametrize("values", ["a,b", "1,2", "a b,c", "[a],[b]", "choice(a,b)", "range(1,3)"])
+def test_several_values_are_refused(values: str) -> None:
+    with pytest.raises(ConfigError, match="has several values and a run takes one"):
+        compose_raw(["task=miniature/go", f"run.dir={values}"])
+
+
+@pytest.mark.parametrize("name", ["lr=0.1", "a (1)", "a(b)=c", r"a\=b"])
+def test_names_in_mappings_may_have_what_values_may(name: str) -> None:
+    """As variants of a sweep have: ``variants={lr=0.1: […]}``."""
+    words = [
+        "task=miniature/go",
+        "outer_loop=grid",
+        f"outer_loop.variants={{{name}: [x=y], b: []}}",
+    ]
+    variants = compose_raw(words)["outer_loop"]["variants"]
+    assert variants == {name.replace("\\", ""): ["x=y"], "b": []}

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
 
@@ -407,10 +409,32 @@ def test_copies_go_on_alike(make: Any, how: str) -> None:
     action = 0.2 * np.ones(original.action_space.shape, np.float32)
     original.step(action)
     begun = COPIES[how](original)
-    for _ in range(12):  # over the end of an episode
+    for _ in range(12):
         for mine, its in zip(original.step(action)[:4], begun.step(action)[:4], strict=True):
             np.testing.assert_array_equal(mine, its)
+    np.testing.assert_array_equal(original.reset()[0], begun.reset()[0])
     assert begun.unwrapped.worlds is not original.unwrapped.worlds
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
+def test_episodes_of_a_copy_begin_alike(mode: AutoresetMode) -> None:
+    """They drew the numbers of another seed: of the one that no reset had been given."""
+    original = many(autoreset_mode=mode)
+    original.reset(seed=3)
+    copied, again = copy.deepcopy(original), pickle.loads(pickle.dumps(copy.deepcopy(original)))
+    action, began = idle(original), 0
+    for _ in range(10):
+        seen = [env.step(action)[:4] for env in (original, copied, again)]
+        if mode is AutoresetMode.DISABLED and seen[0][3].any():
+            mask = {"reset_mask": seen[0][3]}
+            seen = [env.reset(options=mask)[:1] for env in (original, copied, again)]
+        began += seen[0][-1].any() if len(seen[0]) == 4 else 1
+        for mine, its, third in zip(*seen, strict=True):
+            np.testing.assert_equal(its, mine)
+            np.testing.assert_equal(third, mine)
+    assert began > 1
+    first = original.reset()[0]
+    np.testing.assert_equal([copied.reset()[0], again.reset()[0]], [first, first])
 
 
 def test_a_copy_keeps_what_it_was_made_with() -> None:
@@ -450,7 +474,53 @@ def test_actions_that_are_no_numbers_are_refused(wrong: Any) -> None:
             env.step(wrong)
 
 
-@pytest.mark.parametrize("size", [0, -3, 10.5, "a", 100_000, None])
+def test_actions_may_be_tensors_with_gradients() -> None:
+    """As a policy gives them."""
+    one, three = gymnasium.make(TOY, disable_env_checker=True).unwrapped, many()
+    for env in (one, three):
+        env.reset(seed=0)
+        known = env.step(idle(env) + np.float32(0.5))[0]["state"]
+        for kind in (torch.float32, torch.float64, torch.bfloat16):
+            env.reset(seed=0)
+            action = torch.full(env.action_space.shape, 0.5, dtype=kind, requires_grad=True)
+            np.testing.assert_array_equal(env.step(action)[0]["state"], known)
+    with pytest.raises(ConfigError, match="An action is made of numbers"):
+        one.step(list(action[0]))
+
+
+@contextlib.contextmanager
+def torch_set_otherwise(how: str) -> Iterator[None]:
+    """As the program around may have it."""
+    with torch.inference_mode() if how == "inference" else contextlib.nullcontext():
+        if how == "meta":
+            torch.set_default_device("meta")
+        elif how == "float64":
+            torch.set_default_dtype(torch.float64)
+        try:
+            yield
+        finally:
+            torch.set_default_device(None)
+            torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.parametrize("how", ["float64", "inference", "meta"])
+@pytest.mark.parametrize("task", [WALK, TOY])
+def test_what_a_program_sets_in_torch_changes_nothing(task: str, how: str) -> None:
+    def seen(env: Any) -> list[Any]:
+        return [env.reset(seed=0)[0], *env.step(idle(env))[:4]]
+
+    known = seen(gymnasium.make_vec(task, num_envs=2))
+    with torch_set_otherwise(how):
+        set_so = torch.get_default_dtype(), torch.get_default_device()
+        other = gymnasium.make_vec(task, num_envs=2)
+        np.testing.assert_equal(seen(other), known)
+        assert all(value.dtype == np.float32 for value in other.reset()[0].values())
+        copy.deepcopy(other).step(idle(other))
+        assert (torch.get_default_dtype(), torch.get_default_device()) == set_so
+    np.testing.assert_equal(seen(other), known)
+
+
+@pytest.mark.parametrize("size", [0, -3, 10.5, "a", 100_000, None, True])
 def test_pictures_of_no_possible_size_are_refused(size: Any) -> None:
     with pytest.raises(ConfigError, match=r"height=.* is not possible: give a whole number from 1"):
         gymnasium.make(TOY, render_mode="rgb_array", height=size)
@@ -463,6 +533,9 @@ def test_pictures_of_no_possible_size_are_refused(size: Any) -> None:
         ({"overrides": [3]}, "must be a list of texts"),
         ({"action_scale": "a"}, "action_scale=a is not possible"),
         ({"action_scale": [1, "a"]}, "is not possible"),
+        ({"action_scale": np.inf}, "action_scale=inf is not possible"),
+        ({"action_scale": True}, "action_scale=True is not possible"),
+        ({"flat": "no"}, "flat='no' is not possible: write True or False"),
     ],
 )
 def test_settings_of_other_types_are_refused(settings: dict[str, Any], said: str) -> None:
@@ -485,7 +558,7 @@ def test_a_seed_among_the_overrides_is_where_episodes_begin(make: Callable[..., 
     assert not np.array_equal(first(None, "seed=3")[0], first(None, "seed=4")[0])
 
 
-@pytest.mark.parametrize("count", [2.0, "2", None, True, float("nan")])
+@pytest.mark.parametrize("count", [2.0, "2", None, True, float("nan"), 0, -1])
 def test_a_number_of_worlds_that_is_none_is_refused(count: Any) -> None:
     with pytest.raises(ConfigError, match=r"num_envs=.* is not possible: give a whole number"):
         many(num_envs=count)
@@ -493,6 +566,12 @@ def test_a_number_of_worlds_that_is_none_is_refused(count: Any) -> None:
 
 def test_a_number_of_worlds_may_be_numpys() -> None:
     assert many(num_envs=np.int64(2)).reset(seed=0)[0]["state"].shape[0] == 2
+
+
+def test_a_pictures_size_may_be_numpys() -> None:
+    env = gymnasium.make(TOY, render_mode="rgb_array", width=np.int64(32), height=np.uint8(16))
+    env.reset(seed=0)
+    assert env.render().shape == (16, 32, 3)
 
 
 def test_what_gymnasium_gives_single_environments_alone_is_answered() -> None:

@@ -10,7 +10,7 @@ import torch
 from understudy.errors import FileError
 from understudy_motion.clip import Clip
 from understudy_motion.readers.angles import AnglesReader
-from understudy_motion.reading import ReadOptions
+from understudy_motion.reading import HEAD_BYTES, ReadOptions
 
 PLACES = ["0", "0.1", "0.8"]
 LYING = {"x": "0", "y": "0.7071068", "z": "0", "w": "0.7071068"}
@@ -73,6 +73,74 @@ def test_numbers_of_columns_are_no_names(tmp_path: Path, index: str) -> None:
     clip = read(tmp_path, head, *rows)
     check(clip)
     assert (clip.num_frames, clip.joint_names) == (3, ("root", "angle 1", "angle 2"))
+
+
+@pytest.mark.parametrize("first", ["V1", "Column1", "x.1", "1", "0.0", "col_0", "Unnamed: 0"])
+def test_names_that_only_count_are_no_joints(tmp_path: Path, first: str) -> None:
+    """As R and spreadsheets name columns that have no names; they were taken for joints'."""
+    begin, end = ("0", ".0") if first == "0.0" else (first[-1], "")
+    word = "" if first == "0.0" else first[:-1]
+    names = ",".join(f"{word}{int(begin) + n}{end}" for n in range(9))
+    clip = read(tmp_path, names, row(), row())
+    check(clip)
+    assert clip.joint_names == ("root", "angle 1", "angle 2")
+
+
+NAMES = ["x", "y", "z", "qx", "qy", "qz", "qw", "knee", "hip"]
+
+
+def quoted(line: str, between: str = ",") -> str:
+    return between.join(f'"{cell}"' for cell in line.split(","))
+
+
+@pytest.mark.parametrize(
+    ("lines", "named"),
+    [
+        ([quoted(row())] * 3, False),
+        ([quoted(row()).replace(".", ",")] * 3, False),
+        ([quoted(row(), ";").replace(".", ",")] * 3, False),
+        (["sep=,", *[row()] * 3], False),
+        (['"sep=;"', *[row().replace(",", ";").replace(".", ",")] * 3], False),
+        ([quoted(",".join(NAMES)), *[quoted(row())] * 3], True),
+        ([quoted(",".join(NAMES)), *(f'"{n}",{row()}' for n in (1, 2, 3))], True),
+        ([",".join(NAMES), *(f"{n},{row()}" for n in (1, 2, 3))], True),
+        ([quoted(",".join(NAMES), " "), *(f'"{n}" {row().replace(",", " ")}' for n in (1, 2, 3))], True),
+        ([quoted(",".join(["", *NAMES])), *(f'"{n}",{row()}' for n in (1, 2, 3))], True),
+    ],
+)  # fmt: skip
+def test_tables_of_r_and_spreadsheets(tmp_path: Path, lines: list[str], named: bool) -> None:
+    """Quotes around cells, with decimal commas in them, names of rows that have none above them, and ``sep=``."""
+    clip = read(tmp_path, *lines)
+    check(clip)
+    joints = ("angle knee", "angle hip") if named else ("angle 1", "angle 2")
+    assert (clip.num_frames, clip.joint_names) == (3, ("root", *joints))
+
+
+@pytest.mark.parametrize("cell", ['"' + "0" * 200_000, '"0.1', '"a"b', '""'])
+def test_quotes_around_no_number_are_refused(tmp_path: Path, cell: str) -> None:
+    (tmp_path / "clip.csv").write_text("\n".join([row(), f"{cell},{row()}", row()]))
+    with pytest.raises(FileError, match=r"line 2: .*(is not a number|9 numbers are needed)"):
+        AnglesReader().read(tmp_path / "clip.csv")
+
+
+def test_names_of_rows_of_a_long_table(tmp_path: Path) -> None:
+    """Of which only the beginning is looked at, whose last line is cut."""
+    path = tmp_path / "clip.csv"
+    lines = [",".join(NAMES), *(f"{n},{row()}" for n in range(1, 201))]
+    path.write_text("\n".join(lines) + "\n")
+    assert len(path.read_bytes()) > HEAD_BYTES
+    assert AnglesReader().recognises(path.read_bytes()[:HEAD_BYTES], path)
+    clip = AnglesReader().read(path)
+    check(clip)
+    assert clip.num_frames == 200
+
+
+def test_a_cell_more_than_names_is_refused(tmp_path: Path) -> None:
+    """Unless it is the rows' name in every row."""
+    for rows in ([f"5,{row()}", f"7,{row()}"], [f"1,{row()}", row()], [f"{row()},1"] * 2):
+        (tmp_path / "clip.csv").write_text("\n".join((",".join(NAMES), *rows)))
+        with pytest.raises(FileError, match="9 numbers are needed, not 10"):
+            AnglesReader().read(tmp_path / "clip.csv")
 
 
 @pytest.mark.parametrize(

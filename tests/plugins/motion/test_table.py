@@ -226,6 +226,11 @@ def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
     same(rows[0].replace(",", ";"), *(r.replace(",", ";").replace(".", ",") for r in rows[1:]))
     same(*rows, encoding="utf-16")
     same("sep=,", *rows)
+    same(rows[0], *(f"{n},{row}" for n, row in enumerate(rows[1:], start=1)))  # as R does it
+    blanks = [row.replace(",", " ") for row in rows]
+    same(
+        " ".join(f'"{name}"' for name in blanks[0].split()), f'"1" {blanks[1]}', f'"2" {blanks[2]}'
+    )
     for time in ("Time", "t", "time_s", "Time [s]", "time (sec)"):
         same(rows[0].replace("time", time), *rows[1:])
     with pytest.raises(FileError, match="line 5: 10 numbers are needed, not 9"):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
+import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from report_runs import make_run
@@ -59,6 +62,32 @@ def test_when_it_ends(
     config = {"evaluation": {"criterion": criterion}, "budget": {"usual_samples": usual}}
     row = {"samples": 250, "seconds": 10.0, "samples_per_second": 50.0}
     assert ending(config, row, left) == words
+
+
+@pytest.mark.parametrize("stream", ["full", "broken", "closed"])
+def test_a_live_line_that_nobody_reads_ends_nothing(
+    stream: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a broken pipe Rich ended the program, and sent standard output after it."""
+    readable, written = os.pipe()
+    os.close(readable)
+    if stream == "closed":
+        os.close(written)
+        lost: Any = None
+    else:
+        lost = (
+            os.fdopen(written, "w") if stream == "broken" else Path("/dev/full").open("w")  # noqa: SIM115
+        )
+        lost.reconfigure(line_buffering=True)
+    monkeypatch.setattr(sys, "stderr", lost)
+    line = LiveLine("training")
+    line.console.print("hello")
+    line.console._force_terminal = True
+    line.start()
+    assert line.show(0.5, "12 samples")
+    line.stop()
+    os.write(1, b"printed")
+    assert capfd.readouterr().out == "printed"
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -27,7 +27,7 @@ from understudy.errors import ConfigError
 from understudy.running.soundness import rows
 from understudy.running.step import Step
 from understudy.setup.plugins import installed
-from understudy_gym.worlds import RENDER_MODES, Worlds, check_reset, columns, flattened
+from understudy_gym.worlds import RENDER_MODES, Worlds, check_reset, columns, flattened, undisturbed
 
 
 def register_envs() -> None:
@@ -65,7 +65,7 @@ class UnderstudyEnv(gymnasium.Env):
         self.worlds = Worlds(task, 1, overrides, **settings)
         self.render_mode = self.worlds.render_mode
         self.metadata = _metadata(self.worlds)
-        self._flat = flat
+        self._flat = _is_flat(flat)
         self.observation_space = self.worlds.observation_space(flat)
         self.action_space = self.worlds.action_space()
         self._seeded = False
@@ -78,7 +78,7 @@ class UnderstudyEnv(gymnasium.Env):
         if seed is None and not self._seeded:
             seed = _first_seed(self)
         self._seeded = True
-        return self._observed(self.worlds.environment.reset(seed)), {}
+        return self._observed(self.worlds.reset(seed)), {}
 
     def step(self, action: Any):
         _check_begun(self._seeded)
@@ -134,6 +134,7 @@ class UnderstudyVectorEnv(VectorEnv):
         for another ``autoreset_mode``, and for ``max_episode_steps`` of ``make_vec``.
     """
 
+    @undisturbed
     def __init__(
         self,
         task: str,
@@ -152,7 +153,7 @@ class UnderstudyVectorEnv(VectorEnv):
             )
         self.worlds = Worlds(task, num_envs, overrides, **settings)
         self.render_mode = self.worlds.render_mode
-        self.num_envs, self._flat = self.worlds.num_worlds, flat
+        self.num_envs, self._flat = self.worlds.num_worlds, _is_flat(flat)
         self.metadata = {**_metadata(self.worlds), "autoreset_mode": self._mode}
         self.single_observation_space = self.worlds.observation_space(flat)
         self.single_action_space = self.worlds.action_space()
@@ -161,6 +162,7 @@ class UnderstudyVectorEnv(VectorEnv):
         self._ended = torch.zeros(self.num_envs, dtype=torch.bool, device=self.worlds.device)
         self._seeded = False
 
+    @undisturbed
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin new episodes everywhere, or where ``options["reset_mask"]`` (N,) bool is true.
 
@@ -182,7 +184,7 @@ class UnderstudyVectorEnv(VectorEnv):
             seed = _first_seed(self)
         self._seeded = True
         self._ended.zero_()
-        return _arrays(self.worlds.environment.reset(seed), self._flat), {}
+        return _arrays(self.worlds.reset(seed), self._flat), {}
 
     def _begin(self, mask: np.ndarray, seed: int | None) -> Any:
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
@@ -195,10 +197,11 @@ class UnderstudyVectorEnv(VectorEnv):
                 "A reset_mask goes without a seed, after a reset of all worlds. Call reset(seed=…) "
                 "first."
             )
-        worlds = torch.as_tensor(mask).to(self.worlds.device)
+        worlds = torch.as_tensor(mask, device=self.worlds.device)
         self._ended &= ~worlds
         return _arrays(self.worlds.environment.begin(worlds), self._flat)
 
+    @undisturbed
     def step(self, actions: Any):
         _check_begun(self._seeded)
         batch = columns(self.worlds.space, actions, self.num_envs, self.worlds.device)
@@ -278,8 +281,16 @@ def _first_seed(env: UnderstudyEnv | UnderstudyVectorEnv) -> int:
     return int(env.np_random.integers(2**31)) if chosen is None else chosen
 
 
+def _is_flat(flat: Any) -> bool:
+    if flat not in (True, False):
+        raise ConfigError(f"flat={flat!r} is not possible: write True or False.")
+    return bool(flat)
+
+
 def _row(action: Any) -> Any:
     """A batch of one world; rows of several lengths, which no array has, are refused later."""
+    if isinstance(action, Tensor):
+        return action[None]
     return [action] if isinstance(action, list | tuple) else np.asarray(action)[None]
 
 

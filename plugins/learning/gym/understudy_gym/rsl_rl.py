@@ -58,7 +58,7 @@ class UnderstudyVecEnv(VecEnv):
         self.device = str(self.worlds.device)
         self.max_episode_length = self.worlds.episode_steps
         self.cfg = {"task": task, "num_envs": num_envs, "overrides": list(overrides), **settings}
-        self._observations = _kept(self.worlds.environment.reset())
+        self._observations = _kept(self.worlds.reset())
 
     @property
     def episode_length_buf(self) -> Tensor:
@@ -78,7 +78,7 @@ class UnderstudyVecEnv(VecEnv):
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
         """Begin new episodes everywhere."""
-        self._observations = _kept(self.worlds.environment.reset())
+        self._observations = _kept(self.worlds.reset())
         return self._given(), {}
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:

@@ -46,6 +46,10 @@ class UnderstudyWrapper(Wrapper):
         actions are numbers and choices at once, which skrl does not learn.
     """
 
+    _env = _unwrapped = (
+        None  # where skrl looks for what it lacks, also before it is initialised, as a copy is
+    )
+
     def __init__(
         self, task: str, num_envs: int = 1, overrides: Sequence[str] = (), **settings: Any
     ) -> None:
@@ -80,7 +84,7 @@ class UnderstudyWrapper(Wrapper):
         """Begin new episodes everywhere the first time; later, where the worlds are: those that ended
         have begun anew already."""
         if self._observations is None:
-            self._observations = flattened(self.worlds.environment.reset())
+            self._observations = flattened(self.worlds.reset())
         return self._observations, {}
 
     @torch.no_grad()

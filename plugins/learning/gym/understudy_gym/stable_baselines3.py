@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from understudy_gym.worlds import Worlds, columns, flattened
+from understudy_gym.worlds import Worlds, check_reset, columns, flattened
 
 __all__ = ["UnderstudyVecEnv"]
 
@@ -41,9 +41,11 @@ class UnderstudyVecEnv(VecEnv):
     def reset(self) -> np.ndarray:
         """The first observations, (N, D); after :meth:`seed`, those that the seed stands for."""
         seed = self._seeds[0]
+        for options in self._options:
+            check_reset(seed, options)
         self._reset_seeds()
         self._reset_options()
-        return _array(flattened(self.worlds.environment.reset(seed)))
+        return _array(flattened(self.worlds.reset(seed)))
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = columns(self.worlds.space, actions, self.num_envs, self.worlds.device)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -25,6 +27,25 @@ Actions = Literal["scaled", "raw"]
 #: What ``render`` can give.
 RENDER_MODES = ("rgb_array",)
 _LARGEST = 8192  #: pixels of a picture's side
+
+
+def undisturbed(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Run a method of worlds with torch as it is by default, whatever the program around has set: tensors
+    that are made in inference mode could not be changed in place outside, and others would be of another
+    type, or elsewhere."""
+
+    @functools.wraps(method)
+    def wrapped(self: Any, *args: Any, **options: Any) -> Any:
+        kind, device = torch.get_default_dtype(), torch.get_default_device()
+        torch.set_default_dtype(torch.float32)
+        own = contextlib.nullcontext() if device.type == "cpu" else torch.device("cpu")
+        try:
+            with torch.inference_mode(False), own:
+                return method(self, *args, **options)
+        finally:
+            torch.set_default_dtype(kind)
+
+    return wrapped
 
 
 class ActionScale:
@@ -72,7 +93,8 @@ class ActionScale:
                 given is None
                 or given.dim() > 1
                 or given.numel() not in (1, space.size)
-                or not bool((given > 0).all())
+                or isinstance(reach, bool)
+                or not bool(((given > 0) & given.isfinite()).all())
             ):
                 raise ConfigError(
                     f"action_scale={reach} is not possible: give one number above 0, or "
@@ -128,6 +150,7 @@ class Worlds:
         for a task, an override, a scale or a mode that is not possible.
     """
 
+    @undisturbed
     def __init__(
         self,
         task: str,
@@ -149,7 +172,7 @@ class Worlds:
                 f"render_mode={render_mode!r} is not possible: there is {', '.join(RENDER_MODES)}."
             )
         for name, size in {"width": width, "height": height}.items():
-            if not isinstance(size, int) or not 1 <= size <= _LARGEST:
+            if not _whole(size) or not 1 <= size <= _LARGEST:
                 raise ConfigError(
                     f"{name}={size!r} is not possible: give a whole number from 1 to {_LARGEST}."
                 )
@@ -157,11 +180,11 @@ class Worlds:
             raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
         if not isinstance(overrides, Sequence) or not all(isinstance(o, str) for o in overrides):
             raise ConfigError(f"overrides={overrides!r} must be a list of texts: ['KEY=VALUE'].")
-        if not isinstance(num_worlds, int | np.integer) or isinstance(num_worlds, bool):
+        if not _whole(num_worlds) or num_worlds < 1:
             raise ConfigError(
                 f"num_envs={num_worlds!r} is not possible: give a whole number from 1."
             )
-        num_worlds = int(num_worlds)
+        num_worlds, width, height = int(num_worlds), int(width), int(height)
         _refuse_overruled(task, num_worlds, overrides)
         self._made_with = (task, num_worlds, tuple(overrides)), {
             "actions": actions, "action_scale": action_scale, "render_mode": render_mode,
@@ -180,19 +203,29 @@ class Worlds:
         self.scale = ActionScale(self.environment, action_scale) if actions == "scaled" else None
         self.space = built.environment.parts.actuation.part.action_space
         self.render_mode, self._size = render_mode, (width, height)
+        self._drawn_from: tuple[int | None, str] = (None, "")  # the streams of random numbers
 
     def __getstate__(self) -> tuple[Any, ...]:
         """What a copy (``pickle``, ``copy.deepcopy``) is made of: the arguments, from which it is built
-        anew, and the state of the worlds, if they have begun."""
+        anew, and, if the worlds have begun, which random numbers they draw and their state."""
         begun = bool(self.environment.observations)
-        return (*self._made_with, self.environment.state_dict() if begun else None)
+        state = self.environment.state_dict() if begun else None
+        return (*self._made_with, self._drawn_from, state)
 
+    @undisturbed
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        arguments, settings, worlds = state
+        arguments, settings, drawn_from, worlds = state
         Worlds.__init__(self, *arguments, **settings)
         if worlds is not None:
-            self.environment.reset(0)
+            self.reset(*drawn_from)
             self.environment.load_state_dict(worlds)
+
+    @undisturbed
+    def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
+        """Begin new episodes everywhere; as :meth:`~understudy.running.environment.Environment.reset`."""
+        if seed is not None:
+            self._drawn_from = seed, draw
+        return self.environment.reset(seed, draw)
 
     @property
     def columns(self) -> dict[str, tuple[str, ...]]:
@@ -208,22 +241,34 @@ class Worlds:
         """Decisions in a second of the character's life, Hz."""
         return 1.0 / (self.environment.control_dt * self._decision)
 
+    @undisturbed
     @torch.no_grad()
     def to_task(self, actions: Tensor) -> Tensor:
         """The task's actions (N, A) for a learner's."""
         return self.scale.to_task(actions) if self.scale else actions
 
+    @undisturbed
     @torch.no_grad()
     def from_task(self, actions: Tensor) -> Tensor:
         """The inverse of :meth:`to_task`, at the same state."""
         return self.scale.from_task(actions) if self.scale else actions
 
+    @undisturbed
     def step(self, actions: Tensor) -> Step:
-        """One decision by a learner's `actions` (N, A); ended worlds begin anew in the same step."""
+        """One decision by a learner's `actions` (N, A); ended worlds begin anew in the same step.
+
+        Raises
+        ------
+        ConfigError
+            for actions of another shape.
+        """
+        check_shape(actions, self.num_worlds, self.space)
         return self.environment.step(self.to_task(actions))
 
+    @undisturbed
     def advance(self, actions: Tensor) -> Step:
-        """One decision; ended worlds stay where they ended. What went wrong reads 0."""
+        """One decision, as :meth:`step`; ended worlds stay where they ended. What went wrong reads 0."""
+        check_shape(actions, self.num_worlds, self.space)
         step = self.environment.advance(self.to_task(actions))
         step.observations = {
             name: torch.where(rows(step.unsound, value), 0.0, value)
@@ -272,7 +317,7 @@ class Worlds:
         seed
             where they begin. Whatever went on before in these worlds ends.
         """
-        observations = self.environment.reset(seed, "trial")  # where no training began
+        observations = self.reset(seed, "trial")  # where no training began
         length = torch.zeros(self.num_worlds, device=self.device)
         returns, running = length.clone(), torch.ones_like(length, dtype=torch.bool)
         while bool(running.any()):
@@ -371,25 +416,37 @@ def columns(space: ActionSpace, actions: Any, worlds: int, device: torch.device)
         parts = [_numbers(actions[name]) for name in space.parts]
         actions = np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1)
     found = _numbers(actions)
-    if found.shape != (worlds, space.size):
+    check_shape(found, worlds, space)
+    return torch.as_tensor(found, device=device)
+
+
+def check_shape(actions: Tensor | np.ndarray, worlds: int, space: ActionSpace) -> None:
+    """Raise :class:`ConfigError` for `actions` of another shape than `worlds` and the `space` say."""
+    if (shape := tuple(np.shape(actions))) != (worlds, space.size):
         raise ConfigError(
-            f"Actions of shape {found.shape} do not fit: {(worlds, space.size)} is needed, a row for each of "
+            f"Actions of shape {shape} do not fit: {(worlds, space.size)} is needed, a row for each of "
             f"{worlds} worlds."
         )
-    return torch.as_tensor(found).to(device)
+
+
+def _whole(number: Any) -> bool:
+    return isinstance(number, int | np.integer) and not isinstance(number, bool)
 
 
 def _numbers(actions: Any) -> np.ndarray:
-    """As float32, in which what is too large is infinite.
+    """As float32, in which what is too large is infinite. Of a tensor no gradient is kept.
 
     Raises
     ------
     ConfigError
         they are something else: None, texts, complex numbers, rows of several lengths.
     """
+    if isinstance(actions, Tensor):
+        actions = actions.detach().cpu()
+        actions = actions.float() if actions.is_floating_point() else actions
     try:
         found = np.asarray(actions)
-    except ValueError:  # rows of several lengths
+    except (ValueError, RuntimeError):  # rows of several lengths, or of tensors with gradients
         found = np.asarray(None)
     if found.dtype.kind not in "biuf":
         raise ConfigError(f"An action is made of numbers: {actions!r} is not possible.")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from understudy.command.command import tell
 from understudy.errors import RunError
 from understudy.records import runs
 from understudy.records.runs import Run, newest_state
@@ -58,7 +58,7 @@ class Judge(Reinforcement):
             c for part in _LEARNED for c in runs.differences(then.get(part), now.get(part), part)
         ]
         for change in changes:
-            print(f"Unlike in the training of {self.options.run}: {change}", file=sys.stderr)
+            tell(f"Unlike in the training of {self.options.run}: {change}")
         self._started = {**source.info["sources"], "policy": {"run": self.options.run}}
 
     def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import shlex
-import sys
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ import mujoco
 import numpy as np
 import torch
 
-from understudy.command.command import Command
+from understudy.command.command import Command, tell
 from understudy.errors import ConfigError, FileError, PluginError, UnderstudyError
 from understudy.options import make_options
 from understudy.records import runs
@@ -175,7 +174,7 @@ class HoldTool(Command):
                 write_video(video, frames, 1.0 / recorded.dt)
                 written += f" and {video}"
             except UnderstudyError as error:  # the clip is there all the same
-                print(f"No video: {error}", file=sys.stderr)
+                tell(f"No video: {error}")
         print(report(held, motion, recorded.dt))
         print(f"Written: {written}, {clip.num_frames} frames, {clip.duration:.2f} s.")
         if path.suffix.lower() in (".npz", ".csv", ".bvh"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
@@ -11,6 +10,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
+
+from understudy.command.command import tell
 
 __all__ = ["compile_kernels"]
 
@@ -50,11 +51,10 @@ def compile_kernels(work: Callable[[], None], device: Any) -> None:
 
 
 def _tell(seconds: float, ready: int, count: int) -> None:
-    text = (
+    tell(
         f"Compiling the simulator's kernels, once a machine, about a minute: "
         f"{ready} of {count} modules after {seconds:.0f} s"
     )
-    print(text, file=sys.stderr, flush=True)
 
 
 def _modules_of(work: Callable[[], None]) -> dict[tuple[Any, int | None], None]:

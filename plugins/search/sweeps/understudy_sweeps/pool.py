@@ -9,13 +9,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from understudy.command.command import tell
 from understudy_sweeps.journal import trial_of
 from understudy_sweeps.loops import Executor, Report, Trial, Work
 
@@ -180,9 +180,8 @@ class Pool(Executor):
             why = f"{why} ({running.error})"
         key, limit = running.trial.key, self._limits.retries + 1
         if running.tries < limit:
-            print(
-                f"{key}: {why}. It goes on from its last checkpoint (try {running.tries + 1} of {limit}).",
-                file=sys.stderr,
+            tell(
+                f"{key}: {why}. It goes on from its last checkpoint (try {running.tries + 1} of {limit})."
             )
             host = self._start(running.trial)
             self._running[key] = _Running(running.trial, host, running.tries + 1, cost=running.cost)

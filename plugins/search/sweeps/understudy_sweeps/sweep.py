@@ -13,7 +13,6 @@ import math
 import os
 import re
 import signal
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -105,15 +104,13 @@ def sweep(overrides: Sequence[str]) -> int:
     print(page.table(journal, loop.summary()))
     for key in [key for key in journal.finished if key not in known]:
         if (status := journal.finished[key].status) != "ok":
-            print(f"{key}: {status}", file=sys.stderr)
+            tell(f"{key}: {status}")
     for path in (page.path, *more):
         if path.exists():  # why not, was said
             print(f"page: {path}")
     print(f"sweep: {folder}")
     if loop.missing:
-        print(
-            f"Not done: {', '.join(loop.missing)}. The same command tries again.", file=sys.stderr
-        )
+        tell(f"Not done: {', '.join(loop.missing)}. The same command tries again.")
     reports = journal.finished.values()
     return int(bool(loop.missing) or (bool(reports) and all(r.status != "ok" for r in reports)))
 

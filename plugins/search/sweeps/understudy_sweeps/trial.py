@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import sys
 import time
 from collections.abc import Generator, Mapping
 from pathlib import Path
@@ -78,7 +77,7 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
     saved and resumable.
     """
     path = folder_of(trial.key, work.folder)
-    print(f"{trial.key}: {path}", file=sys.stderr)
+    tell(f"{trial.key}: {path}")
     _await(path)
     try:
         training = _open(path, trial, work)

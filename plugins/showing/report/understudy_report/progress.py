@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import shlex
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
@@ -47,11 +50,38 @@ class _Left(ProgressColumn):
         return Text(f"· about {clock(left)} left" if left > 0 else "· longer than before")
 
 
+class _Stderr(io.TextIOBase):
+    """Standard error, to which nothing is written any more where that fails: its reader or its terminal is gone. Rich
+    would end the program, and its standard output with it."""
+
+    def __init__(self) -> None:
+        self._stream: Any = getattr(sys.stderr, "rich_proxied_file", sys.stderr)
+
+    @property
+    def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return getattr(self._stream, "encoding", "utf-8")
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError, AttributeError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, AttributeError):
+            self._stream.flush()
+
+
 class LiveLine:
     """A bar, a note beside it and lines below it on a terminal, once started; elsewhere there is none."""
 
     def __init__(self, what: str) -> None:
-        self.console = Console(stderr=True, highlight=False)
+        self.console = Console(file=cast("Any", _Stderr()), highlight=False)
         self._what = what
         self._bar: _Bar | None = None
         self._task = TaskID(0)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import typing
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from understudy.command.command import Command
+from understudy.command.command import Command, tell
 from understudy.errors import ConfigError
 from understudy.folders import write_atomically
 from understudy.setup.plugins import installed
@@ -82,10 +81,7 @@ class Check(Command):
         if character is not None:
             clip = character.posed(clip)
         elif angle_names(clip) is not None:
-            print(
-                f"{clip.name}: a robot's angles; --character ROBOT.xml says how it moves by them.",
-                file=sys.stderr,
-            )
+            tell(f"{clip.name}: a robot's angles; --character ROBOT.xml says how it moves by them.")
         before = examine(clip, character, options.floor, level)
         after, done = before, None
         if options.fix is not None:

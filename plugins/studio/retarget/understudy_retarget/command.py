@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from understudy.command.command import Command
+from understudy.command.command import Command, tell
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
@@ -75,12 +74,12 @@ class Retarget(Command):
         clip = _load(options, registry)
         for finding in check_clip(clip):
             if finding.severity == Severity.MAJOR:
-                print(f"{clip.name}: {finding.line()}", file=sys.stderr)
+                tell(f"{clip.name}: {finding.line()}")
         result, report = retarget(clip, character, how)
         result = replace(result, name=options.destination.stem)
         write_clip(result, options.destination, registry)
         if not report.fits:
-            print(_misfit(report, options.character), file=sys.stderr)
+            tell(_misfit(report, options.character))
         if options.json:
             print(json.dumps(_as_json(report, options.destination), indent=1))
         else:

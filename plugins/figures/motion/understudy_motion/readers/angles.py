@@ -14,6 +14,8 @@ What an angle means only the robot's model says. So the clip has a joint ``angle
 
 from __future__ import annotations
 
+import contextlib
+import csv
 import itertools
 import re
 from collections.abc import Sequence
@@ -37,16 +39,24 @@ from understudy_motion.readers.columns import (
     scale_of_unit,
     units_in,
 )
-from understudy_motion.readers.table import UNREAD
-from understudy_motion.readers.text import decoded, is_number, number_rows, without_comments
+from understudy_motion.readers.table import REMARKS, UNREAD
+from understudy_motion.readers.text import (
+    decoded,
+    is_number,
+    number_rows,
+    with_row_names,
+    without_comments,
+)
 from understudy_motion.readers.times import is_plain_time, since_first
-from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
+from understudy_motion.reading import HEAD_BYTES, UNSAID, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 __all__ = ["RATE"]
 
 RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
+_COUNTED = re.compile(r"([a-z_ :.]{0,20}?)([0-9]{1,4})(?:\.0)?", re.IGNORECASE)
+"""The number of a column, perhaps with a word before it."""
 _TURNS, _FAR = 4.0 * np.pi, 50.0
 """rad and m beyond which the unit is another."""
 _ROOT = re.compile(
@@ -68,7 +78,8 @@ class AnglesReader(ClipReader):
     suffixes = (".csv", ".txt")
 
     def recognises(self, head: bytes, path: Path) -> bool:
-        raw = decoded(head).splitlines()
+        lines = decoded(head).splitlines()
+        raw = _laid_out(lines[:-1] if len(head) == HEAD_BYTES else lines)  # the last may be cut
         lines = [line for line in without_comments(raw) if line]
         if not lines or _named_in_remark(raw):
             return False
@@ -96,7 +107,7 @@ class AnglesReader(ClipReader):
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        raw = decoded(content).splitlines()
+        raw = _laid_out(decoded(content).splitlines())
         lines = without_comments(raw)
         at = next((n for n, line in enumerate(lines) if line), 0)
         delimiter = _delimiter(lines[at])
@@ -168,13 +179,36 @@ class AnglesReader(ClipReader):
 def _names(lines: list[str]) -> bool:
     """Whether the first of `lines` names columns."""
     words = _words(lines[0], _delimiter(lines[0]))
-    return len(lines) > 1 and len(words) > 7 and not any(map(is_number, words))
+    named = len(words) > 7 and not any(map(is_number, words))
+    return len(lines) > 1 and named and not _counts(words)
 
 
 def _counts(words: list[str]) -> bool:
-    """Whether `words` are the numbers of columns, as pandas writes them above a table without names."""
-    numbers = words[1:] if words[0] == "" else words
-    return len(numbers) > 7 and numbers == [str(n) for n in range(len(numbers))]
+    """Whether `words` only count columns, as pandas, R (``V1``) and spreadsheets (``Column1``) write them above a table
+    without names."""
+    words = words[1:] if UNREAD.fullmatch(words[0]) else words
+    counted = [_COUNTED.fullmatch(word) for word in words]
+    if len(words) < 8 or None in counted or len({match[1] for match in counted if match}) > 1:
+        return False
+    numbers = [int(match[2]) for match in counted if match]
+    return numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def _laid_out(raw: Sequence[str]) -> list[str]:
+    """The lines of a table without quotes around its cells, in which a decimal comma is a point then; without the
+    line ``sep=;`` of spreadsheets; and with a name for R's names of rows."""
+    lines = ["" if line.lower().lstrip(' "').startswith("sep=") else line for line in raw]
+    for n, line in enumerate(lines):
+        if '"' in line and not line.lstrip(' "').startswith(REMARKS):
+            between = _delimiter(line) or " "
+            with contextlib.suppress(csv.Error):  # then a quote will be no number
+                cells = next(csv.reader([line], delimiter=between, skipinitialspace=True), [])
+                lines[n] = between.join(cell.strip().replace(",", ".") for cell in cells)
+    plain = without_comments(lines)
+    at = next((n for n, line in enumerate(plain) if line), None)
+    if at is not None:
+        lines[at] = with_row_names(lines[at], plain[at + 1 :], _delimiter(lines[at]))
+    return lines
 
 
 def _of_remark(above: Sequence[str], count: int) -> list[str] | None:

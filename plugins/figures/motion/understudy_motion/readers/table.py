@@ -45,7 +45,7 @@ from understudy_motion.readers.columns import (
 )
 from understudy_motion.readers.frames import check_sizes
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.readers.text import decoded, number_rows, shown
+from understudy_motion.readers.text import decoded, number_rows, shown, with_row_names
 from understudy_motion.readers.times import is_plain_time, since_first
 from understudy_motion.reading import SLOWEST_RATE, UNSAID, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
@@ -136,6 +136,7 @@ class CsvReader(ClipReader):
         lines = decoded(content).splitlines()
         said, start = _comments(lines)
         header, body, delimiter = _parted(lines[start:])
+        header = with_row_names(header, body, delimiter)
         names, columns = _raw(header, delimiter), _cells(header, delimiter)
         body = [_row(line, len(columns), delimiter) for line in body]
         names = _with_units(names, body, delimiter)

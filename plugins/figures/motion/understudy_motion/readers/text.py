@@ -46,6 +46,17 @@ def without_comments(lines: Sequence[str]) -> list[str]:
     return ["" if line.startswith(("#", "//", ";")) else line for line in stripped]
 
 
+def with_row_names(header: str, body: Sequence[str], delimiter: str | None) -> str:
+    """`header`, the names of a table's columns, with one for the rows' names, ``1``, ``2``, …, if these stand to the
+    left of every row of `body` and it has none for them, as R writes it."""
+    count = len(header.split(delimiter)) + 1
+    rows = (line.split(delimiter) for line in body if line.strip())
+    for n, cells in enumerate(rows, start=1):
+        if len(cells) != count or not cells[-1].strip() or cells[0].strip(' "') != str(n):
+            return header
+    return f"row{delimiter or ' '}{header}" if any(line.strip() for line in body) else header
+
+
 def is_number(word: str) -> bool:
     """Whether `word` is a number up to :data:`LARGEST`, in ASCII and without underscores."""
     try:
