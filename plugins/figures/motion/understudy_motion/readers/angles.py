@@ -47,7 +47,7 @@ __all__ = ["RATE"]
 
 RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
-_TURNS, _FAR = 4.0 * np.pi, 50.0
+_TURNS, _FAR = 2.0 * np.pi, 50.0
 """rad and m beyond which the unit is another."""
 _ROOT = re.compile(
     r"(?:(?:floating[\W_]*)?(?:root|base|pelvis|free(?:joint)?|global))?[\W_]*"
