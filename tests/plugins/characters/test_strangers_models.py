@@ -785,5 +785,5 @@ def test_an_attached_model_says_what_to_do(tmp_path: Path) -> None:
         '<mujoco><asset><model name="m" file="robot.xml"/></asset><worldbody><attach model="m" body="pelvis" '
         'prefix="a"/></worldbody></mujoco>'
     )
-    with pytest.raises(FileError, match="attaches a model .*robot.xml.* by <include"):
+    with pytest.raises(FileError, match=r"attaches a model .*robot\.xml.* by <include"):
         load(tmp_path / "scene.xml")
