@@ -787,3 +787,16 @@ def test_an_attached_model_says_what_to_do(tmp_path: Path) -> None:
     )
     with pytest.raises(FileError, match=r"attaches a model .*robot\.xml.* by <include"):
         load(tmp_path / "scene.xml")
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"), [("0 1.5707963 0", True), ("1.5707963 0 0", False), ("0 0 1", False)]
+)
+def test_a_root_that_has_no_heading_is_said(tmp_path: Path, turn: str, said: bool) -> None:
+    text = robot_xml().replace('pos="0 0 .84"', f'pos="0 0 .84" euler="{turn}"', 1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene(tmp_path, text)
+    assert (
+        any("the x axis of its root 'pelvis' is vertical" in str(w.message) for w in caught) is said
+    )

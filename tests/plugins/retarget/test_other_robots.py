@@ -71,6 +71,16 @@ def test_frames_do_not_matter(
     assert report.fits
 
 
+def test_a_robot_that_lies_in_its_model_makes_the_same_motion(
+    walk: Clip, plain: tuple[np.ndarray, Report]
+) -> None:
+    """Its root's frame stands in the robot, and not in the world."""
+    lying = remodelled(robot_xml()).replace("<worldbody>", '<worldbody><frame euler="1.5 .3 0">')
+    found, report = moved(walk, lying.replace("</worldbody>", "</frame></worldbody>"))
+    np.testing.assert_allclose(found, plain[0], atol=1e-3)
+    assert report.fits
+
+
 ZERO = {
     "elbows bent": {"left_elbow": 1.5, "right_elbow": 1.5},  # as of many robots
     "crouching": {

@@ -47,6 +47,8 @@ NEEDED: tuple[str, ...] = tuple(
 #: Of the length of the character's legs: a mean error beyond it is no motion of the clip's any more. On
 #: humanoids and robots it is 0.002 to 0.025, on a quadruped 0.09.
 POOR = 0.05
+#: Of the cosines of trunk and legs with the vertical, by how much more they stand in another frame.
+_BETTER = 0.3
 #: m: legs of people and robots of their size; and what others are made as long as, while they are posed.
 _LEAST_LEG, _LONGEST_LEG, _USUAL_LEG = 0.5, 1.3, 0.85
 
@@ -108,21 +110,15 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
         a part that matters is not found in the clip, or could be several joints; or the
         options name joints that do not exist.
     """
-    given_skeleton = need_skeleton(clip)
-    stood, skeleton = _stood(character), character.skeleton
-    upright = replace(
-        skeleton,
-        offsets=skeleton.offsets @ stood,
-        tips={name: tip @ stood for name, tip in skeleton.tips.items()},
-    )
-    own_parts = find_parts(upright, {}, f"Character {character.name}")
+    skeleton = need_skeleton(clip)
+    own_parts, stood = _stance(character)
     given = _given(options.map, character, own_parts, clip)
-    parts = find_parts(given_skeleton, given, f"Clip {clip.source}")
-    target, soles = _target(character, own_parts)
+    parts = find_parts(skeleton, given, f"Clip {clip.source}")
+    target, soles = _target(character, own_parts, stood)
     size = _size(target)
     if size != 1.0:
-        target, soles = _target(character, own_parts, size)
-    source = Figure(given_skeleton, parts)
+        target, soles = _target(character, own_parts, stood, size)
+    source = Figure(skeleton, parts)
     _check(source, target, clip, character)
     clip, turned = standing(clip, parts)
     source = Figure(need_skeleton(clip), parts)
@@ -239,14 +235,28 @@ def _turn_is_known(source: Figure, part: str) -> bool:
     return name == "wrist" and elbow in source.parts and source.ends_at(elbow)
 
 
-def _stood(character: Character) -> np.ndarray:
-    """(3, 3): forward, left and up of the zero pose, as columns, in the root's frame."""
-    at = character.root_address
+def _stance(character: Character) -> tuple[Parts, np.ndarray]:
+    """The character's parts, and (3, 3) forward, left and up of its zero pose, as columns, in the root's frame: those of
+    the frame itself, or of the model's world, where its trunk and legs stand better in that."""
+    at, skeleton = character.root_address, character.skeleton
     turn = Rotation.from_quat(character.model.qpos0[at + 3 : at + 7], scalar_first=True)
-    axes = turn.inv().as_matrix()
-    return (
-        np.eye(3) if axes[2, 2] > 1.0 - 1e-9 else axes
-    )  # a heading alone says nothing of the frame
+    found, best = None, -np.inf
+    for axes in (np.eye(3), turn.inv().as_matrix()):
+        tips = {name: tip @ axes for name, tip in skeleton.tips.items()}
+        turned = replace(skeleton, offsets=skeleton.offsets @ axes, tips=tips)
+        parts = find_parts(turned, {}, f"Character {character.name}")
+        figure = Figure(turned, parts)
+        pairs = [(f"{side}_ankle", f"{side}_hip") for side in SIDES] + 2 * [("pelvis", "chest")]
+        spans = [
+            figure.at_rest(high) - figure.at_rest(low)
+            for low, high in pairs
+            if low in figure.points and high in figure.points
+        ]
+        stands = sum(float(span[2] / max(np.linalg.norm(span), 1e-9)) for span in spans)
+        if found is None or stands > best + _BETTER:
+            found, best = (parts, axes), stands
+    assert found is not None
+    return found
 
 
 def _sized(skeleton: Skeleton, size: float) -> Skeleton:
@@ -268,14 +278,14 @@ def _size(figure: Figure) -> float:
 
 
 def _target(
-    character: Character, parts: Parts, size: float = 1.0
+    character: Character, parts: Parts, stood: np.ndarray, size: float = 1.0
 ) -> tuple[Figure, dict[str, Sole]]:
     """The character's figure, made larger by `size`, and by side the soles of its feet.
 
     Its toes are the front edges of the soles. A foot that is a piece of the shin has its ankle there,
     too.
     """
-    figure, soles = Figure(_sized(character.skeleton, size), parts, _stood(character)), {}
+    figure, soles = Figure(_sized(character.skeleton, size), parts, stood), {}
     below: dict[str, set[str]] = {}  # of each foot, the joints that carry it
     for side in SIDES:
         joint = figure.segments.get(f"{side}_foot", figure.segments.get(f"{side}_shin"))
