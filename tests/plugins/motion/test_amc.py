@@ -76,6 +76,8 @@ def test_radians_unit_rate_and_axis(tmp_path: Path) -> None:
     torch.testing.assert_close(radians.rotations[0, 2], degrees.rotations[0, 2])
     assert read(path, rate=60.0).frame_rate == pytest.approx(60.0)
     assert read(path, unit="cm").root_position[0, 2] == pytest.approx(17.5 / 0.45 * 0.01)
+    # As it is given for CMU's clips in BVH; it was divided by 0.45 once more.
+    assert read(path, unit=0.0564).root_position[0, 2] == pytest.approx(17.5 * 0.0564)
     assert read(path, up="z").root_position[0, 1] == pytest.approx(17.5 * INCH / 0.45)
     assert read(path, loop=True).loop
     with pytest.raises(ConfigError, match=r"motion\.rate=0"):

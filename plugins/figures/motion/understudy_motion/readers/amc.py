@@ -9,7 +9,7 @@ own pose all frames are parallel. The root is read as a bone whose axis is its `
 clip's joint sits where its bone begins.
 
 Lengths are in inches divided by the ``length`` of the ASF's ``:units`` (0.45 in CMU's files), unless
-the unit is given; without that line the unit is the one that makes the figure an adult. Angles are in the unit that the
+the unit is given, by its name in place of inches or as the metres in one of the file's numbers; without that line the unit is the one that makes the figure an adult. Angles are in the unit that the
 AMC says, else in the ASF's, else as in BVH. Most AMC have no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
 unless one is given (some of CMU's clips are of 60 frames/s), or a line ``:SAMPLES-PER-SECOND`` says it.
 
@@ -411,6 +411,8 @@ def _skeleton_of(path: Path) -> Path:
 
 def _metres(path: Path, figure: Figure, options: ReadOptions, up: Axis) -> float:
     """The metres in a unit of the figure: as given, as its file says, else as its height shows."""
+    if options.unit and not isinstance(options.unit, str):
+        return float(options.unit)  # a number of metres is that of the file's own numbers
     if options.unit or figure.length_unit is not None:
         return metres_of(options.unit or "inch") / (figure.length_unit or 1.0)
     places = [np.zeros(3)]
