@@ -5,7 +5,8 @@ where they touch it.
 2. *Key points* are the source's pose on the character's limbs: each bone points where the source's
    does and has the character's length; the pelvis travels at the scale of the legs. Pelvis, chest,
    head and feet turn as the source's do, from how each of the two stands in its zero pose.
-   A zero pose that is no stance is replaced by one that is (:mod:`understudy_retarget.stance`).
+   A clip's zero pose that is no stance is replaced by one that is (:mod:`understudy_retarget.stance`); a character's soles,
+   knees and shoulders say how it would stand. What is smaller or larger than people is posed in their size.
 3. Feet that touch the floor are planted on it (:mod:`understudy_retarget.feet`).
 4. Inverse kinematics finds the poses that come nearest (:mod:`understudy_retarget.solver`).
 """
