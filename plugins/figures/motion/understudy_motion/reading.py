@@ -214,7 +214,7 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
         raise UnknownFormatError(
             f"Clip {path}: a pickle, which could run any code when it is read, and is not. Save what it "
             "holds as a table or an NPZ where it was made (docs/motion.md): of a robot, its root's "
-            "position, its quaternion as xyzw and its angles as the columns of a CSV."
+            "position, its quaternion as xyzw and its angles as the columns of a CSV, or as root_pos, root_rot, dof_pos and fps of an NPZ."
         )
     if not head:
         raise UnknownFormatError(f"Clip {path}: the file is empty.")
@@ -268,6 +268,5 @@ def _of_archive(path: Path) -> str:
     there = ", ".join(repr(name[:40]) for name in names) or "nothing"
     return (
         f"an NPZ of no kind that is read here. It has {there}; AMASS and its like have poses, trans and "
-        "mocap_framerate. Save a robot's motion as a CSV (docs/motion.md): its root's position, its quaternion as xyzw and "
-        "its angles in the columns."
+        "mocap_framerate. A robot's have root_pos, root_rot (xyzw), dof_pos, in the order of its model, and fps."
     )
