@@ -144,6 +144,19 @@ def write_angles(folder: Path) -> Path:
     return path
 
 
+def write_robot_npz(folder: Path) -> Path:
+    frames = 6
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (frames, 1))
+    np.savez(
+        folder / "clip.npz",
+        root_pos=np.tile([0.0, 0.0, 0.8], (frames, 1)),
+        root_rot=turns,
+        dof_pos=np.zeros((frames, 3)),
+        fps=30,
+    )
+    return folder / "clip.npz"
+
+
 def write_npz(folder: Path) -> Path:
     path = folder / "walker.npz"
     NpzWriter().write(walker(), path)
@@ -182,5 +195,6 @@ WRITE: Mapping[str, Callable[[Path], Path]] = {
     "csv": write_csv,
     "deepmimic": write_deepmimic,
     "npz": write_npz,
+    "robot_npz": write_robot_npz,
     "smpl": write_smpl,
 }

@@ -159,7 +159,7 @@ def saved(array: np.ndarray) -> bytes:
 
 def mutate(format: str, content: bytes, rng: random.Random) -> bytes:
     kinds: tuple[Callable[[bytes, random.Random], bytes], ...]
-    if format in ("npz", "smpl"):
+    if format in ("npz", "robot_npz", "smpl"):
         kinds = (mutant_of_bytes, mutant_of_arrays, mutant_of_arrays, mutant_of_arrays)
     else:
         kinds = (mutant_of_bytes, mutant_of_text, mutant_of_text, mutant_of_text)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from robots import robot_file
+from robots import robot_file, robot_xml
 
 from understudy.command.cli import main
 from understudy.errors import FileError
@@ -62,6 +62,56 @@ def test_a_table_without_a_header(
     half = character.qpos(clip, clip.times[:-1] + 0.5 / 30.0)  # as a task asks for it
     between = 0.5 * (qpos[1:] + qpos[:-1])
     np.testing.assert_allclose(half[:, 7:], between[:, 7:], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        ("{}_joint", "{}_joint"),  # as robots' makers call them, and their tables' columns
+        ("{}_joint", "{}"),
+        ("{}_joint", "{}_joint_dof"),
+        ("{}_joint", "{}_pos"),
+        ("{}", "{}_joint"),
+        ("robot/{}", "{}"),
+        ("{}", "{:camel}"),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_hinges_are_known_by_other_programs_names(
+    tmp_path: Path, own: str, said: str, turned: bool
+) -> None:
+    text = robot_xml()
+    plain = load_character(str(robot_file(tmp_path)), REGISTRY)
+    for name in plain.hinges:
+        text = text.replace(f'"{name}"', f'"{own.format(name)}"')
+    (tmp_path / "robot.xml").write_text(text)
+    character = load_character(str(tmp_path / "robot.xml"), REGISTRY)
+    qpos = moving(character)
+    order = list(range(len(plain.hinges)))[:: -1 if turned else 1]
+    names = [
+        name.title().replace("_", "") if ":" in said else said.format(name) for name in plain.hinges
+    ]
+    head = ["x", "y", "z", "qw", "qx", "qy", "qz", *(names[n] for n in order)]
+    rows = np.concatenate((qpos[:, :7], qpos[:, 7:][:, order]), axis=1)
+    np.savetxt(tmp_path / "x.csv", rows, delimiter=",", header=",".join(head), comments="")
+    found = character.qpos(read(tmp_path / "x.csv"))
+    torch.testing.assert_close(found, torch.from_numpy(qpos), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_of_hinges_are_their_order(
+    tmp_path: Path, character: Character, first: int
+) -> None:
+    qpos = moving(character)
+    count = qpos.shape[1] - 7
+    head = ["x", "y", "z", "qw", "qx", "qy", "qz", *(f"dof_{first + n}" for n in range(count))]
+    np.savetxt(tmp_path / "x.csv", qpos, delimiter=",", header=",".join(head), comments="")
+    found = character.qpos(read(tmp_path / "x.csv"))
+    torch.testing.assert_close(found, torch.from_numpy(qpos), atol=1e-6, rtol=0)
+    head[-1] = f"dof_{first + count}"  # one is missing
+    np.savetxt(tmp_path / "x.csv", qpos, delimiter=",", header=",".join(head), comments="")
+    with pytest.raises(FileError, match="give the robot's own model"):
+        character.qpos(read(tmp_path / "x.csv"))
 
 
 def test_blank_lines_and_delimiters_at_the_end(tmp_path: Path, character: Character) -> None:

@@ -310,3 +310,35 @@ def test_what_a_rotor_lacks_by_hand() -> None:
     for limit, lacks in ((3.0, 0.005), (1.0, 0.0), (np.inf, 0.0)):
         found = steadying_rotors(character, np.array([limit]), 0.01, 2.0)
         assert found == pytest.approx([lacks], abs=1e-8)
+
+
+def with_actuators(folder: Path, actuator: str) -> CharacterScene:
+    """The robot with an `actuator` of each of its hinges, HINGE in its text."""
+    motors, text = [], robot_xml()
+    for joint in ("waist", *(f"{side}_{name}" for side in ("left", "right") for name in MOTORS)):
+        motors.append(actuator.replace("HINGE", joint))
+    start, _, _ = text.partition("<actuator>")
+    path = folder / "robot.xml"
+    path.write_text(
+        f"{start}<actuator>{''.join(motors)}</actuator></mujoco>".replace(
+            '<motor ctrlrange="-1 1"/>', "", 1
+        )
+    )
+    return scene_of(path)
+
+
+def test_a_damping_ratio_is_the_damping_that_mujoco_makes_of_it(tmp_path: Path) -> None:
+    servo = '<position joint="HINGE" kp="100" RATIO forcerange="-80 80"/>'
+    model = with_actuators(tmp_path, servo.replace("RATIO", 'dampratio="1.5"')).model
+    said = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    damping = -said.actuator_biasprm[:, 2]
+    assert (damping > 1.0).all()
+    by_step = 100.0 * (model.opt.timestep - said.opt.timestep)
+    np.testing.assert_allclose(-model.actuator_biasprm[:, 2] - by_step, damping, rtol=1e-9)
+
+
+def test_an_actuator_in_the_parents_frame_is_as_strong_as_one_of_the_joint(tmp_path: Path) -> None:
+    motor = '<motor KIND="HINGE" gear="20" ctrlrange="-1.5 1.5" ctrllimited="true"/>'
+    for kind in ("joint", "jointinparent"):
+        limits = with_actuators(tmp_path, motor.replace("KIND", kind)).model.actuator_forcerange
+        np.testing.assert_allclose(limits[:, 1], 30.0)

@@ -714,3 +714,89 @@ def test_ranges_of_the_other_unit_of_angles_are_said(
     found = [str(one.message) for one in caught if "hinges turn by" in str(one.message)]
     assert bool(found) == bool(said)
     assert said in "".join(found)
+
+
+@pytest.mark.parametrize(
+    ("unnamed", "other"), [("pelvis", "head"), ("left_thigh", "head"), ("left_thigh", "left_shin")]
+)
+def test_a_body_without_a_name_gets_one_that_is_free(
+    tmp_path: Path, unnamed: str, other: str
+) -> None:
+    """MuJoCo numbers bodies in the file's order: the pelvis is 1, the left thigh 2."""
+    number = {"pelvis": 1, "left_thigh": 2}[unnamed]
+    text = robot_xml().replace(f'name="{unnamed}" ', "", 1)
+    character = scene(tmp_path, text.replace(f'"{other}"', f'"body{number}"', 1)).character
+    assert len(set(character.joint_names)) == len(character.joints) == 12
+    assert character.joint_names[number - 1] == f"body{number}_"
+
+
+def test_a_hinge_without_a_name_gets_one_that_is_free(tmp_path: Path) -> None:
+    text = (
+        robot_xml()
+        .replace('name="left_hip_x" ', "", 1)
+        .replace('<motor joint="left_hip_x" gear="120"/>', "")
+    )
+    (tmp_path / "robot.xml").write_text(text.replace('"waist"', '"joint1"'))
+    assert len(load(tmp_path / "robot.xml").hinges) == 21
+
+
+def test_a_floor_in_a_frame_that_is_turned_is_lowered_straight_down(tmp_path: Path) -> None:
+    floor = """<frame pos="0 0 .3" euler="1.5707963 0 0"><frame pos="2 0 0">
+        <geom name="ground" type="plane" size="0 0 1" euler="-1.5707963 0 0"/></frame></frame>"""
+    model = scene(tmp_path, added('<body name="pelvis"', floor)).model
+    np.testing.assert_allclose(model.geom("ground").pos, [2.0, 0.0, 0.0], atol=1e-7)
+
+
+def test_of_a_model_that_collides_by_pairs_only_what_is_in_one_does(tmp_path: Path) -> None:
+    """As the models for MuJoCo's GPU simulators are, of which the feet touch the floor and nothing else."""
+    text = added(
+        "</mujoco>",
+        '<contact><pair geom1="sole" geom2="ground" friction=".7 .7 .1 .1 .1"/></contact>',
+    )
+    text = text.replace("<default>", '<default><geom contype="0" conaffinity="0"/>', 1)
+    text = text.replace(
+        '<geom type="box" size=".1 .045', '<geom name="sole" type="box" size=".1 .045', 1
+    )
+    text = text.replace(
+        '<body name="pelvis"',
+        '<geom name="ground" type="plane" size="0 0 1"/><body name="pelvis"',
+        1,
+    )
+    (tmp_path / "whole.xml").write_text(robot_xml())
+    found = scene(tmp_path, text).character
+    model = found.model
+    assert [model.geom(g.id).name for g in found.geoms] == ["sole"]
+    assert floors(model) == ["ground"]
+    assert model.geom_contype.astype(bool).sum() == 2
+    assert model.body_subtreemass[found.root] == pytest.approx(41.8)
+    assert found.length > 0.8 * load(tmp_path / "whole.xml").length
+
+
+def test_of_two_compilers_the_last_says_whether_paths_are_stripped(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "m.obj").write_text(TETRAHEDRON)
+    text = added("<worldbody>", '<asset><mesh name="m" file="a/m.obj"/></asset>')
+    text = text.replace("<compiler", '<compiler strippath="true"/><compiler strippath="false"', 1)
+    assert len(scene(tmp_path, text).character.joints) == 12
+
+
+def test_an_attached_model_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "scene.xml").write_text(
+        '<mujoco><asset><model name="m" file="robot.xml"/></asset><worldbody><attach model="m" body="pelvis" '
+        'prefix="a"/></worldbody></mujoco>'
+    )
+    with pytest.raises(FileError, match=r"attaches a model .*robot\.xml.* by <include"):
+        load(tmp_path / "scene.xml")
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"), [("0 1.5707963 0", True), ("1.5707963 0 0", False), ("0 0 1", False)]
+)
+def test_a_root_that_has_no_heading_is_said(tmp_path: Path, turn: str, said: bool) -> None:
+    text = robot_xml().replace('pos="0 0 .84"', f'pos="0 0 .84" euler="{turn}"', 1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene(tmp_path, text)
+    assert (
+        any("the x axis of its root 'pelvis' is vertical" in str(w.message) for w in caught) is said
+    )

@@ -76,6 +76,8 @@ def test_radians_unit_rate_and_axis(tmp_path: Path) -> None:
     torch.testing.assert_close(radians.rotations[0, 2], degrees.rotations[0, 2])
     assert read(path, rate=60.0).frame_rate == pytest.approx(60.0)
     assert read(path, unit="cm").root_position[0, 2] == pytest.approx(17.5 / 0.45 * 0.01)
+    # As it is given for CMU's clips in BVH; it was divided by 0.45 once more.
+    assert read(path, unit=0.0564).root_position[0, 2] == pytest.approx(17.5 * 0.0564)
     assert read(path, up="z").root_position[0, 1] == pytest.approx(17.5 * INCH / 0.45)
     assert read(path, loop=True).loop
     with pytest.raises(ConfigError, match=r"motion\.rate=0"):
@@ -476,9 +478,10 @@ def test_a_figure_of_no_bodys_size_is_no_unit(tmp_path: Path, length: str, size:
     said = rf"section :units \(inches divided by {number}\) the figure is {size} m from end to end, .*0\.4 to 3 m.*inch if"
     with pytest.raises(FileError, match=said):
         read(path)
-    for unit, metres in (("inch", INCH), (2.5, 2.5)):  # whoever gives it means it
+    # Whoever gives it means it; a number is the metres in one of the file's own.
+    for unit, metres in (("inch", INCH / float(length)), (2.5, 2.5)):
         height = read(path, unit=unit).root_position[0, 2]
-        assert height == pytest.approx(17.5 / float(length) * metres)
+        assert height == pytest.approx(17.5 * metres)
 
 
 def test_a_unit_that_nothing_shows_is_asked_for(tmp_path: Path) -> None:

@@ -169,6 +169,16 @@ def test_units_of_names(tmp_path: Path) -> None:
     assert clip.joint_names == ("root", "angle knee", "angle hip")
 
 
+@pytest.mark.parametrize("degrees", [7.0, 12.0, 90.0])
+def test_degrees_that_are_not_said_are_asked_about(tmp_path: Path, degrees: float) -> None:
+    """Up to 12.6 they were radians: half the hinges beyond a turn."""
+    numbers = ",".join(
+        (*PLACES, *(LYING[part] for part in "xyzw"), "1", f"{-degrees}", f"{degrees}")
+    )
+    with pytest.raises(FileError, match="seem to be in degrees; write them in radians"):
+        read(tmp_path, numbers, numbers)
+
+
 def test_a_height_in_centimetres_is_said_as_such(tmp_path: Path) -> None:
     numbers = f"0,10,80,{','.join(LYING[part] for part in 'xyzw')},0.1,-0.2"
     with pytest.raises(FileError, match=r"80 m from the floor; .* \(--unit\), as cm"):

@@ -21,6 +21,7 @@ from understudy.setup.plugins import installed
 from understudy_motion import library
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers import deepmimic
+from understudy_motion.reading import ReadOptions
 from understudy_tensors import rotations
 
 HALF = math.sqrt(0.5)
@@ -107,6 +108,26 @@ def test_only_its_own_json_is_recognised(tmp_path: Path, content: object, is_cli
     assert deepmimic.DeepMimicReader().recognises(path.read_bytes(), path) is is_clip
 
 
+@pytest.mark.parametrize(
+    ("said", "given", "loops"),
+    [
+        (True, None, True),
+        ("Wrap", None, True),
+        ("NONE", None, False),
+        (None, True, True),
+        ("?", False, False),
+    ],
+)
+def test_whether_it_loops_may_be_said_in_other_words(
+    tmp_path: Path, said: object, given: bool | None, loops: bool
+) -> None:
+    content = {"Loop": said, **{"Frames": document()["Frames"]}}
+    if said is None:
+        del content["Loop"]
+    clip = deepmimic.DeepMimicReader().read(write(tmp_path, content), ReadOptions(loop=given))
+    assert clip.loop is loops
+
+
 def broken(frame: int, column: int, value: object) -> dict[str, Any]:
     content = document()
     content["Frames"][frame][column] = value
@@ -122,6 +143,7 @@ def broken(frame: int, column: int, value: object) -> dict[str, Any]:
         ({"Loop": "wrap", "frames": []}, "Did you mean 'frames'"),
         ({"Loop": "sometimes", "Frames": []}, "'Loop' must be"),
         ({"Loop": ["wrap"], "Frames": []}, "'Loop' must be"),
+        ({"Frames": [row(), row()]}, "'Loop' must be .* motion.loop"),
         ({"Loop": "none", "Frames": {}}, "not a list"),
         ({"Loop": "none", "Frames": []}, "0 frames"),
         ({"Loop": "none", "Frames": [row()]}, "1 frames"),

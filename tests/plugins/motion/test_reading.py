@@ -9,6 +9,7 @@ import os
 import pickle
 import re
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,11 @@ def test_what_could_run_code_or_has_no_names_says_so(tmp_path: Path, registry: R
     for write in (pickle.dump, torch.save):
         with path.open("wb") as file:
             write({"poses": [0.0] * 66}, file)
+        with pytest.raises(UnknownFormatError, match="a pickle, which could run any code"):
+            read_clip(path, registry)
+    packed = [zlib.compress(pickle.dumps([0.0] * 66), level) for level in (1, 3, 6, 9)]  # joblib's
+    for content in (*packed, pickle.dumps({"poses": [0.0] * 66}, protocol=0)):
+        path.write_bytes(content)
         with pytest.raises(UnknownFormatError, match="a pickle, which could run any code"):
             read_clip(path, registry)
     with path.open("wb") as file:

@@ -438,3 +438,10 @@ def test_other_units_are_named(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"m from the floor; give motion\.unit"):
         read(tmp_path, millimetres)
     assert read(tmp_path, millimetres, ReadOptions(unit="mm")).num_frames > 1
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 66), (0, 22, 3), (5, 0), (0, 5, 0)])
+def test_arrays_of_nothing_end_in_a_sentence(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    np.savez(tmp_path / "x.npz", poses=np.zeros(shape), trans=np.zeros((shape[0], 3)), fps=30.0)
+    with pytest.raises(FileError):
+        SmplReader().read(tmp_path / "x.npz")

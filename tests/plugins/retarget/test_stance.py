@@ -23,6 +23,9 @@ from understudy_retarget.stance import standing
 from understudy_tensors import rotations
 
 REGISTRY = installed().registry
+needs_data = pytest.mark.skipif(
+    library.data_folder() is None, reason="no real clips (UNDERSTUDY_DATA)"
+)
 LIMBS = {"legs": ("hip", "knee", "ankle"), "arms": ("shoulder", "elbow")}
 
 
@@ -170,3 +173,46 @@ def test_pitched_feet_make_no_difference(name: str, pitch: int) -> None:
     assert {"legs", "feet"} & set(report.no_stance)
     angles = apart(as_usual(name)[0], found)
     assert max(angles.values()) < 10.0, angles
+
+
+@pytest.mark.parametrize("name", ["walk", "run"])
+@pytest.mark.parametrize(
+    ("joints", "turn", "limb"),
+    [
+        (("left_ankle", "right_ankle"), (90, 0, 0), "feet"),
+        (("left_ankle",), (90, 0, 0), "feet"),
+        (("left_ankle",), (-60, 20, 50), "feet"),
+        (("right_ankle",), (0, 0, 90), "legs"),
+        (("left_elbow", "right_elbow"), (0, 0, 120), "arms"),
+        (("right_elbow",), (0, -70, 0), ""),  # which may be a stance
+        (("left_shoulder", "left_elbow"), (0, 0, 170), "arms"),
+        (("left_hip", "left_knee", "left_ankle"), (90, 0, 90), "legs"),
+        (("left_knee", "left_ankle"), (0, 0, 180), "legs"),
+        (("root", "chest", "neck"), (0, 90, 0), "arms"),
+    ],
+)
+def test_frames_of_some_joints_make_no_difference(
+    name: str, joints: tuple[str, ...], turn: tuple[int, ...], limb: str
+) -> None:
+    """Feet were rolled by 90 degrees, and a forearm that is rolled in the zero pose turned the upper arm by up to 45."""
+    clip = of_the_humanoid(name)
+    own = Rotation.from_euler("xyz", turn, degrees=True)
+    turned = with_frames(
+        clip, [own if joint in joints else Rotation.identity() for joint in clip.joint_names]
+    )
+    torch.testing.assert_close(*(forward_kinematics(c)[0] for c in (clip, turned)))
+    found, report = retarget(turned, humanoid())
+    assert not limb or limb in report.no_stance
+    angles = apart(as_usual(name)[0], found)
+    assert max(angles.values()) < 15.0, angles
+
+
+@needs_data
+@pytest.mark.parametrize(
+    "name", ["humanoid3d_roll", "humanoid3d_spinkick", "humanoid3d_crawl", "02_01"]
+)
+def test_recorded_stances_are_left_as_they_are(name: str) -> None:
+    clip = library.find(name, REGISTRY)
+    assert clip.skeleton is not None
+    again, limbs = standing(clip, find_parts(clip.skeleton, {}, name))
+    assert (again is clip, limbs) == (True, ())

@@ -9,7 +9,9 @@ one joint, at the place of the first one. A body without joints belongs to the b
 from __future__ import annotations
 
 import math
+import re
 import warnings
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -259,7 +261,11 @@ class Character:
         return found
 
     def _body_name(self, body: int) -> str:
-        return self.model.body(body).name or f"body{body}"
+        return self.model.body(body).name or _free(f"body{body}", self._names_of_bodies)
+
+    @cached_property
+    def _names_of_bodies(self) -> frozenset[str]:
+        return frozenset(self.model.body(body).name for body in range(self.model.nbody))
 
     def _at_rest(self) -> None:
         """Find where the joints are in the zero pose, in the root's frame."""
@@ -315,8 +321,10 @@ class Character:
 
     @cached_property
     def length(self) -> float:
-        """m: the figure's size in the zero pose, between the surfaces that are farthest apart."""
+        """m: the figure's size in the zero pose, between the surfaces, or joints of which nothing collides, that are
+        farthest apart."""
         geoms = [(g.centre, self.model.geom_rbound[g.id]) for g in self.geoms]
+        geoms += [(place, 0.0) for place in self.rest_positions]
         return max(
             (float(np.linalg.norm(a - b)) + r + s for a, r in geoms for b, s in geoms), default=1.0
         )
@@ -335,12 +343,13 @@ class Character:
 
     @cached_property
     def geoms(self) -> tuple[Geom, ...]:
-        """The geoms that collide; all of them if none does."""
+        """The geoms that collide, by their masks; if none does, those that are named in a pair, or else all."""
         model = self.model
+        paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
         colliding = tuple(
             g for g in self.shown if model.geom_contype[g.id] or model.geom_conaffinity[g.id]
         )
-        return colliding or self.shown
+        return colliding or tuple(g for g in self.shown if g.id in paired) or self.shown
 
     # ------------------------------------------------------------------ clip and qpos
 
@@ -395,8 +404,10 @@ class Character:
             address for joint in self.joints[1:] if len(joint.axes) for address in joint.addresses
         }
         ids = [j for j in range(self.model.njnt) if int(self.model.jnt_qposadr[j]) in own]
+        names = {self.model.joint(j).name for j in range(self.model.njnt)}
         return {
-            self.model.joint(j).name or f"joint{j}": int(self.model.jnt_qposadr[j]) for j in ids
+            self.model.joint(j).name or _free(f"joint{j}", names): int(self.model.jnt_qposadr[j])
+            for j in ids
         }
 
     def posed(self, clip: Clip) -> Clip:
@@ -411,11 +422,8 @@ class Character:
         names = angle_names(clip)
         if names is None:
             return clip
-        if set(names) == set(self.hinges):
-            addresses = [self.hinges[name] for name in names]
-        elif len(names) == len(self.hinges) and names[0] == "1":
-            addresses = list(self.hinges.values())
-        else:
+        addresses = _addresses(names, self.hinges)
+        if addresses is None:
             raise FileError(
                 f"Clip {clip.source} has {len(names)} angles of a robot, and {self.name} has "
                 f"{len(self.hinges)} hinges{'' if names[0] == '1' else ', or others'}: give the robot's own "
@@ -519,6 +527,44 @@ class Character:
             model.mesh_vert[first : first + count].astype(float),
             model.mesh_face[start : start + faces],
         )
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """`name`, or a longer one that is not `taken`."""
+    while name in taken:
+        name += "_"
+    return name
+
+
+_AFFIXES = re.compile(r"[\W_]*(?:joint|dof|pos(?:ition)?|angle|q)$")
+"""What programs put behind a hinge's name."""
+_NUMBERED = re.compile(r"(.*?)([0-9]+)")
+
+
+def _addresses(names: Sequence[str], hinges: Mapping[str, int]) -> list[int] | None:
+    """The ``qpos`` addresses of hinges that a table calls so: by their names, else by these without capitals, signs,
+    a namespace and what programs put behind them, else, of names that count the hinges, in their order; None if they
+    are not these `hinges`."""
+    if set(names) == set(hinges):
+        return [hinges[name] for name in names]
+    if len(names) != len(hinges):
+        return None
+    plain = {_plain(name): address for name, address in hinges.items()}
+    if len(plain) == len(names) and {_plain(name) for name in names} == set(plain):
+        return [plain[_plain(name)] for name in names]
+    counted = [found.groups() for found in map(_NUMBERED.fullmatch, names) if found]
+    if len(counted) == len(names) and len({stem for stem, _ in counted}) == 1:
+        numbers = [int(number) for _, number in counted]
+        if numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers))):
+            return list(hinges.values())
+    return None
+
+
+def _plain(name: str) -> str:
+    word = re.split("[/:]", name)[-1].casefold()
+    while _AFFIXES.search(word) and (less := _AFFIXES.sub("", word)):
+        word = less
+    return re.sub(r"[\W_]", "", word)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
 from scipy.spatial import ConvexHull
@@ -24,13 +26,15 @@ def feet(character: Character) -> tuple[str, ...]:
     return tuple(name for name, is_low in zip(character.joint_names, low, strict=True) if is_low)
 
 
-def foot_points(character: Character) -> dict[str, Tensor]:
-    """By foot: the points (P, 3) m, in the joint's frame, of which one is always the foot's lowest."""
-    carried: dict[str, list[np.ndarray]] = {name: [] for name in feet(character)}
+def foot_points(character: Character, joints: Collection[str] | None = None) -> dict[str, Tensor]:
+    """By foot, or other one of these `joints`: the points (P, 3) m, in the joint's frame, of which one is always the lowest
+    of what it carries; those that carry nothing are left out."""
+    names = feet(character) if joints is None else joints
+    carried: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for shape in shapes(character, character.geoms):
         if shape.joint in carried:
             carried[shape.joint].append(shape.vertices)
-    joined = {name: np.concatenate(parts) for name, parts in carried.items()}
+    joined = {name: np.concatenate(parts) for name, parts in carried.items() if parts}
     # "QJ": flat feet are no error.
     return {
         name: torch.from_numpy(points[ConvexHull(points, qhull_options="QJ").vertices])

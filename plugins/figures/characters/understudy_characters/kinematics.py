@@ -32,19 +32,22 @@ class Poses:
 
 
 class Kinematics:
-    """Maps ``qpos`` of a character to the places of its joints, and derivatives of those back."""
+    """Maps ``qpos`` of a `character`, or of one that is made larger by `size`, to the places of its joints, and derivatives of
+    those back."""
 
-    def __init__(self, character: Character) -> None:
+    def __init__(self, character: Character, size: float = 1.0) -> None:
         self.character = character
         joints = character.joints
-        self._offsets = torch.from_numpy(character.skeleton.offsets)
+        self._offsets = size * torch.from_numpy(character.skeleton.offsets)
         self._rests = torch.from_numpy(character.rest_rotations.as_quat(scalar_first=True))
         self._axes = [
             rotations.rotate(rest, torch.from_numpy(joint.axes))
             for joint, rest in zip(joints, self._rests, strict=True)
         ]
         self._apart = [
-            rotations.rotate(rest, torch.from_numpy(joint.apart)) if joint.apart.any() else None
+            rotations.rotate(rest, size * torch.from_numpy(joint.apart))
+            if joint.apart.any()
+            else None
             for joint, rest in zip(joints, self._rests, strict=True)
         ]
         widths = [3 if len(joint.axes) == 0 else len(joint.axes) for joint in joints]

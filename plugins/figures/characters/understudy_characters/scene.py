@@ -97,6 +97,8 @@ _FLAGS = {
     "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
     "actuation": mujoco.mjtDisableBit.mjDSBL_ACTUATION,
 }
+_VERTICAL = 0.9
+"""The z of an axis whose heading is none."""
 _TIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
@@ -130,6 +132,18 @@ def _warn_of_ties(name: str, character: Character) -> None:
                 "take the tie out of the file if it should.",
                 stacklevel=3,
             )
+
+
+def _warn_of_heading(name: str, character: Character) -> None:
+    """Warn if the root's x axis, whose heading is the figure's, is vertical in the zero pose."""
+    forward = character.zero_pose.xmat[character.root].reshape(3, 3)[:, 0]
+    if abs(forward[2]) > _VERTICAL:
+        warnings.warn(
+            f"Model '{name}': the x axis of its root '{character.joint_names[0]}' is vertical in the zero pose, so which way "
+            "the figure heads, by which much is observed and rewarded, cannot be told from it. Turn the frame of that body, "
+            "so that x is ahead.",
+            stacklevel=3,
+        )
 
 
 class CharacterScene(MujocoScene):
@@ -180,6 +194,7 @@ class CharacterScene(MujocoScene):
         drive(spec, character, timestep, servos, longest)
         _refuse_what_is_off(name, spec)
         _warn_of_ties(name, character)
+        _warn_of_heading(name, character)
         spec.modelname = name
         spec.option.timestep = timestep
         if options.solver == "fast":

@@ -21,6 +21,8 @@ from understudy_characters.staging import free_name
 __all__ = ["add_servo", "lags"]
 
 _HINGE, _BALL = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)
+_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
+_IN_PARENT = int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 
 #: Of the weight times the length of a figure: torque of a joint that carries all of it. With the cube
@@ -95,11 +97,14 @@ def drives(character: Character) -> list[Drive]:
 
 def _driven(model: mujoco.MjModel, actuator: int) -> tuple[int, int] | None:
     """Joint and axis that the actuator drives directly, if it is a joint's."""
-    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
+    kind = int(model.actuator_trntype[actuator])
+    if kind not in (_JOINT, _IN_PARENT):
         return None
     joint, gear = int(model.actuator_trnid[actuator, 0]), model.actuator_gear[actuator, :3]
-    if model.jnt_type[joint] == _HINGE:
+    if model.jnt_type[joint] == _HINGE:  # of which both kinds are the same
         return joint, 0
+    if kind != _JOINT:
+        return None
     if model.jnt_type[joint] == _BALL and np.count_nonzero(gear) == 1:
         return joint, int(np.flatnonzero(gear)[0])
     return None
@@ -118,7 +123,8 @@ def has_servos(character: Character) -> bool:
 def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
     return bool(
-        model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        model.actuator_trntype[actuator] == _JOINT
+        and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
         and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
         and gain[0] > 0.0
@@ -253,6 +259,8 @@ def drive(
     """
     if options.keep and has_servos(character):
         for actuator in spec.actuators:  # their velocity gain is for the time step they came with
+            # Compiled, since a file may say it as a damping ratio.
+            actuator.biasprm[2] = character.model.actuator_biasprm[actuator.id, 2]
             actuator.biasprm[2] -= actuator.gainprm[0] * (timestep - spec.option.timestep)
             actuator.biasprm[2] = min(actuator.biasprm[2], 0.0)
     else:

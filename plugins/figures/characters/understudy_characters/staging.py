@@ -70,15 +70,20 @@ def _floors(character: Character) -> list[tuple[int, float | None]]:
 
 
 def _lower(spec: mujoco.MjSpec, character: Character, height: float) -> None:
-    """Lower everything but the character by `height` m."""
+    """Lower everything but the character by `height` m; the character, too, where it is in one <frame> with others."""
     down = np.array([0.0, 0.0, height])
+    for frame in spec.worldbody.frames:
+        if frame.frame is None:  # what is in it moves with it
+            frame.pos = frame.pos - down
     for geom in spec.worldbody.geoms:
+        if geom.frame is not None:
+            continue
         if np.isfinite(geom.fromto).all():
             geom.fromto = geom.fromto - np.tile(down, 2)
         else:
             geom.pos = geom.pos - down
     for body in spec.worldbody.bodies:
-        if body.id != character.root:
+        if body.id != character.root and body.frame is None:
             body.pos = body.pos - down
 
 
@@ -142,10 +147,12 @@ def add_sun(spec: mujoco.MjSpec, root: str) -> None:
 
 def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None:
     """Let the geoms of the bodies `figure` (ids of the compiled `spec`) that collide at all collide with everything else,
-    and on request with one another. If none of them collides, all will."""
+    and on request with one another. If none of them collides, those will that are named in a pair, or else all."""
     own = [geom for body in spec.bodies if body.id in figure for geom in body.geoms]
     colliding = [geom for geom in own if geom.contype or geom.conaffinity]
-    for geom in colliding or own:
+    named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    paired = [geom for geom in own if geom.name in named]
+    for geom in colliding or paired or own:
         geom.contype = _FIGURE
         geom.conaffinity = _FLOOR | (_FIGURE if self_collision else 0)
     for body in spec.bodies:

@@ -12,6 +12,7 @@ PARTS = {
         "csv": ("readers.table:CsvReader", "a table of named columns"),
         "deepmimic": ("readers.deepmimic:DeepMimicReader", "DeepMimic's JSON"),
         "npz": ("readers.table:NpzReader", "everything a clip has"),
+        "robot_npz": ("readers.robot_npz:RobotNpzReader", "a robot's root and angles in an NPZ"),
         "smpl": ("readers.smpl:SmplReader", "AMASS, SMPL, SMPL-H and SMPL-X"),
     },
     "clip_writer": {

@@ -87,6 +87,9 @@ PACKED = {
 }  # fmt: skip
 """How packed files begin."""
 
+PICKLES = (b"(dp", b"(lp", b"ccopy_reg\n", b"cnumpy", b"x\x01", b"x\x5e", b"x\x9c", b"x\xda")
+"""How pickles of old programs begin, and such as joblib packs by zlib."""
+
 OTHERS = {
     b"Kaydara FBX": ("an FBX file", "BVH"), b"; FBX": ("an FBX file", "BVH"), b"glTF": ("a glTF file", "BVH"),
     b"PAR1": ("a Parquet file", "CSV"), b"\xd0\xcf\x11\xe0": ("a spreadsheet", "CSV"),
@@ -207,11 +210,11 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
         if _recognised(registry, name, reader, head, path):
             return reader
     torch_s = head.startswith(b"PK") and b"/data.pkl" in head  # a zip with a pickle
-    if head.startswith(b"\x80") or torch_s:
+    if head.startswith((b"\x80", *PICKLES)) or torch_s:
         raise UnknownFormatError(
             f"Clip {path}: a pickle, which could run any code when it is read, and is not. Save what it "
             "holds as a table or an NPZ where it was made (docs/motion.md): of a robot, its root's "
-            "position, its quaternion as xyzw and its angles as the columns of a CSV."
+            "position, its quaternion as xyzw and its angles as the columns of a CSV, or as root_pos, root_rot, dof_pos and fps of an NPZ."
         )
     if not head:
         raise UnknownFormatError(f"Clip {path}: the file is empty.")
@@ -265,5 +268,5 @@ def _of_archive(path: Path) -> str:
     there = ", ".join(repr(name[:40]) for name in names) or "nothing"
     return (
         f"an NPZ of no kind that is read here. It has {there}; AMASS and its like have poses, trans and "
-        "mocap_framerate."
+        "mocap_framerate. A robot's have root_pos, root_rot (xyzw), dof_pos, in the order of its model, and fps."
     )

@@ -264,7 +264,11 @@ class Harvest(Gathering):
 
     def products(self, run: Run) -> None:
         options = self.options
-        about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
+        about: dict[str, Any] = {
+            "run": options.run,
+            "moment": options.moment,
+            "kept": self._wanted(),
+        }
         clip = self._source.info["sources"].get("motion")
         if clip is not None:  # its terms are those of what was learned from it
             terms = ("clip", "licence", "url", "attribution")

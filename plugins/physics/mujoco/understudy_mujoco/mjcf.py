@@ -28,8 +28,8 @@ MAX_FILES = 2000
 MAX_DEPTH = 200
 """How deeply elements and includes may be nested."""
 
-_REFUSED = ("plugin", "extension", "model")
-"""Elements by which a model has libraries loaded, or models that refer to files of their own."""
+_REFUSED = ("plugin", "extension")
+"""Elements by which a model has libraries loaded."""
 _OF_URDF = ("link", "joint", "material", "mujoco")
 """What is read of a URDF; the rest is for other programs (``gazebo``, ``transmission``, ``ros2_control``), which load
 plugins by it."""
@@ -116,6 +116,12 @@ class _Reader:
                 )
         elements = list(root.iter())
         for element in elements:
+            if element.tag == "model":
+                raise FileError(
+                    f"The model {self._path} refers to other files than those of its own folder that are read here: it "
+                    f"attaches a model (<model file={element.get('file', '')!r}>). Take that one's own file, or put its "
+                    "parts into this one by <include file=…/>."
+                )
             if element.tag in _REFUSED:
                 self._refuse(f"<{element.tag}>")
         directories = self._directories(elements)
@@ -217,8 +223,11 @@ class _Reader:
         for compiler in (e for e in elements if e.tag == "compiler"):
             for key in _DIRECTORIES:
                 found[key] = compiler.attrib.pop(key, found[key])
-            if compiler.attrib.pop("strippath", "false") == "true":
+            strips = compiler.attrib.pop("strippath", "true" if "strippath" in found else "false")
+            if strips == "true":
                 found["strippath"] = "true"
+            else:
+                found.pop("strippath", None)
         return found
 
     def _asset(self, directories: Mapping[str, str], kind: str, name: str) -> str:

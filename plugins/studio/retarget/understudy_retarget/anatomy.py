@@ -118,10 +118,10 @@ def find_parts(skeleton: Skeleton, given: Mapping[str, int], owner: str) -> Part
 def describe(name: str) -> tuple[str, str]:
     """Side ("" in the middle) and word of a joint's name, in lower case without what says nothing.
 
-    ``mixamorig:LeftUpLeg`` and ``left_up_leg_link`` are ("left", "upleg"), ``lfemur`` is
+    ``mixamorig:LeftUpLeg``, ``robot/left_up_leg`` and ``left_up_leg_link`` are ("left", "upleg"), ``lfemur`` is
     ("left", "femur"), ``Bip01 R Calf`` is ("right", "calf").
     """
-    tokens = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name.rpartition(":")[2])
+    tokens = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", re.split("[:/|]", name)[-1])
     words = [token.lower() for token in tokens]
     side = next((_SIDE_WORDS[word] for word in words if word in _SIDE_WORDS), "")
     word = "".join(word for word in words if word not in _SIDE_WORDS and word not in _NOISE)

@@ -122,6 +122,7 @@ def _as_json(report: Report, destination: Path) -> dict[str, Any]:
         "mapping": {part: list(joints) for part, joints in report.mapping.items()},
         "missing": list(report.missing),
         "unused": list(report.unused),
+        "still": list(report.still),
         "fits": report.fits,
         "no_stance": list(report.no_stance),
         "scale": report.scale,
@@ -144,6 +145,11 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
         lines.append(_row(part, ours, theirs, *distances))
     if report.missing:
         lines.append(f"Not in the clip, left as in the zero pose: {', '.join(report.missing)}.")
+    if report.still:
+        lines.append(
+            "Of the character, left as in the zero pose, since their names and places say no part of a body: "
+            f"{', '.join(report.still)}."
+        )
     if report.unused:
         lines.append(f"Not on the character, left out: {', '.join(report.unused)}.")
     if report.no_stance:

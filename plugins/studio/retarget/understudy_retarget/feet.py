@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from understudy_characters.contacts import latched
@@ -39,6 +41,44 @@ _SHORTEST_SOLE = 0.03
 """m: a foot on a shorter one rests on a point, and turns as it likes."""
 
 
+_PLAIN, _ALIKE = 0.15, 0.985
+"""Of a foot's surface what its sole is at least; and the cosine between the normals of what is one plane."""
+_TURNED = 0.35
+"""rad that a foot is pitched, rolled or turned by at least where its zero pose is none to stand in."""
+_LONG = 1.5
+"""How many times longer than wide a sole is that says where the foot points."""
+
+
+def flattening(points: np.ndarray, shin: np.ndarray) -> Rotation | None:
+    """The turn that puts a foot of these `points` (P, 3) flat on the floor and has it point ahead; None if it does so, or
+    if it cannot be told, as of round feet. `points` and `shin` (3,), up to the knee, are forward, left and up."""
+    if len(points) < 4 or np.ptp(points, axis=0).min() < 1e-6:
+        return None
+    hull = ConvexHull(points, qhull_options="QJ")
+    corners = points[hull.simplices]
+    areas = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    normals = hull.equations[:, :3]
+    alike = normals @ normals.T > _ALIKE
+    planes = np.where(normals @ shin < -0.3 * np.linalg.norm(shin), alike @ areas, 0.0)
+    best = int(planes.argmax())
+    down = (areas * alike[best]) @ normals
+    down = down / np.linalg.norm(down)
+    turn = Rotation.identity()
+    if planes[best] > _PLAIN * areas.sum() and np.arccos(-down[2].clip(-1.0, 1.0)) > _TURNED:
+        turn = Rotation.align_vectors([0.0, 0.0, -1.0], down)[0]
+    flat = turn.apply(points)
+    sole = flat[flat[:, 2] < flat[:, 2].min() + _FLAT, :2]
+    _, spread, axes = np.linalg.svd(sole - sole.mean(axis=0), full_matrices=False)
+    if len(sole) > 2 and spread[0] > _LONG * spread[1]:
+        along = axes[0] * (1.0 if axes[0] @ (sole.max(axis=0) + sole.min(axis=0)) > 0.0 else -1.0)
+        yaw = float(np.arctan2(along[1], along[0]))
+        if _TURNED < abs(yaw) < 0.5 * np.pi:
+            turn = Rotation.from_rotvec([0.0, 0.0, -yaw]) * turn
+    return turn if turn.magnitude() > 0.0 else None
+
+
 @dataclass(frozen=True)
 class Sole:
     """The underside of a foot: points from its ankle, along the frame of the joint that turns it, m."""
@@ -48,11 +88,12 @@ class Sole:
     points: Tensor  #: (P, 3), of which one is always the lowest
     heel: Tensor  #: (3,) middle of the rear edge
     toe: Tensor  #: (3,) middle of the front edge
+    up: Tensor  #: (3,) up, of the foot that is flat on the floor
 
     @staticmethod
     def of(joint: int, ankle: Tensor, points: Tensor, axes: np.ndarray) -> Sole:
-        """The sole of a foot that consists of `points` (P, 3), in the joint's frame, in a figure with
-        these body axes."""
+        """The sole of a foot that consists of `points` (P, 3), in the joint's frame, where `axes` are forward, left and
+        up of a foot that is flat."""
         body = torch.from_numpy(axes)
         low = (points - ankle) @ body  # forward, left, up
         bottom = low[:, 2].min()
@@ -63,14 +104,14 @@ class Sole:
             middle = 0.5 * (edge.amin(dim=0) + edge.amax(dim=0))
             middle[2] = bottom
             ends.append(body @ middle)
-        return Sole(joint, ankle, points - ankle, ends[0], ends[1])
+        return Sole(joint, ankle, points - ankle, ends[0], ends[1], body[:, 2])
 
     @staticmethod
     def point(joint: int, points: Tensor, axes: np.ndarray) -> Sole:
         """The sole of a foot without an ankle: the lowest of its `points` (P, 3)."""
         lowest = points[(points @ torch.from_numpy(axes))[:, 2].argmin()]
         here = torch.zeros(3, dtype=torch.float64)
-        return Sole(joint, lowest, points - lowest, here, here)
+        return Sole(joint, lowest, points - lowest, here, here, torch.from_numpy(axes[:, 2].copy()))
 
     @property
     def length(self) -> float:
@@ -235,7 +276,7 @@ def _flattened(times: Tensor, turn: Tensor, sole: Sole, touching: Contacts) -> T
     about its length while one of them does."""
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     ahead = (sole.toe - sole.heel) / sole.length
-    sideways = torch.linalg.cross(up, ahead)
+    sideways = torch.linalg.cross(sole.up, ahead)
     for which in ("pitch", "roll"):
         along = rotations.rotate(turn, ahead)
         left = torch.linalg.cross(up.expand_as(along), along)  # level, as long as the foot is

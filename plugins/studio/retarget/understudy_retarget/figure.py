@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from understudy_motion.clip import Skeleton
@@ -46,10 +47,18 @@ class Figure:
     A point is where the part's joint is; a wrist, an ankle or a toe that is no joint is the tip of
     the joint before it, and the head is always one. The pelvis is the point between the hips, the
     chest that between the shoulders. Missing parts are missing here.
+
+    Parameters
+    ----------
+    skeleton, parts
+        whose figure it is.
+    stood
+        (3, 3): where forward, left and up are, as columns, in the frame of the root of a zero pose that stands.
     """
 
-    def __init__(self, skeleton: Skeleton, parts: Parts) -> None:
+    def __init__(self, skeleton: Skeleton, parts: Parts, stood: np.ndarray | None = None) -> None:
         self.skeleton, self.parts = skeleton, parts
+        self.stood = np.eye(3) if stood is None else stood
         self.rest = rest_positions(skeleton)
         #: By part.
         self.points: dict[str, Place] = {}
@@ -77,6 +86,11 @@ class Figure:
                 self.segments[segment] = self.points[end].joint
         #: (3, 3): columns forward, left and up of the zero pose.
         self.axes = self._body_axes()
+        #: By side: how a foot is turned from the zero pose, in these axes, to be flat on the floor and point ahead; feet
+        #: that are so in the zero pose are left out.
+        self.flat: dict[str, Rotation] = {}
+        #: By side: the axis (3,) about which a knee bends, in these axes, where it is known.
+        self.knees: dict[str, np.ndarray] = {}
 
     def _origin(self, joint: int) -> Place:
         """A joint's origin, as a point of what the joint hangs on."""
@@ -119,13 +133,13 @@ class Figure:
         return path[: path.index(chain[0]) + 1] if chain[0] in path else [last]
 
     def _body_axes(self) -> np.ndarray:
-        up = np.array([0.0, 0.0, 1.0])
+        up = self.stood[:, 2]
         if "pelvis" in self.points and "chest" in self.points:
             trunk = self.at_rest("chest") - self.at_rest("pelvis")
-            if trunk[2] < 0.7 * np.linalg.norm(trunk):  # a zero pose that does not stand
+            if trunk @ up < 0.7 * np.linalg.norm(trunk):  # a zero pose that does not stand
                 axis = int(np.argmax(np.abs(trunk)))
                 up = np.sign(trunk[axis]) * np.eye(3)[axis]
-        left = np.array([0.0, 1.0, 0.0])
+        left = self.stood[:, 1]
         for part in ("hip", "shoulder"):
             pair = [f"{side}_{part}" for side in SIDES]
             if all(p in self.points for p in pair):

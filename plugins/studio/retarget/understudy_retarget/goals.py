@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -17,8 +17,11 @@ from understudy_retarget.feet import Contacts, Sole
 from understudy_retarget.figure import BONES, Figure
 from understudy_tensors import rotations
 
+_NONE = np.zeros(3)
 _SHORTEST = 1e-3
 """m: what is shorter has no direction."""
+_TURNED, _BENT = 0.35, 0.8
+"""rad that shoulders, and a neck, are turned by at least in a zero pose whose chest is."""
 
 
 class Goals:
@@ -76,12 +79,19 @@ class Goals:
             across = _unit(self._at("left_shoulder") - self._at("right_shoulder"))
             self.points["left_shoulder"] = self.points["chest"] + 0.5 * width * across
             self.points["right_shoulder"] = self.points["chest"] - 0.5 * width * across
+        for shoulder in (f"{side}_shoulder" for side in SIDES):
+            if shoulder in target.points and shoulder not in self.points:  # of one arm
+                place = torch.from_numpy(target.at_rest(shoulder) - target.at_rest("pelvis"))
+                turn = self.turns.get("chest", self.turns["pelvis"])
+                self.points[shoulder] = self.points["pelvis"] + rotations.rotate(turn, place)
 
     def _upright(self, segment: str, start: str, end: str) -> Tensor:
         """From `start` to `end`, as the source leans against how it stands in its zero pose."""
         source, target = self._source, self._target
         theirs, ours = source.between(start, end), target.between(start, end)
-        body = _quaternion(Rotation.from_matrix(target.axes))
+        turned = _turn(source, target, segment)
+        ours = turned.apply(ours)
+        body = _quaternion(Rotation.from_matrix(target.axes) * turned.inv())
         world = rotations.multiply(self.turns[segment], body)  # from forward, left, up
         leaning = rotations.inverse_rotate(world, self._at(end) - self._at(start))
         turn = rotations.multiply(world, _quaternion(_shortest_turn(theirs, ours)))
@@ -129,38 +139,96 @@ def _alignment(source: Figure, target: Figure, segment: str) -> Tensor:
     """(4,): from the frame of the target's segment to that of the source's, both in the zero pose.
 
     The two figures face the same way and stand upright; limbs are turned by the least that makes
-    their bones parallel. A foot is spread as its leg is, and turned about the leg, not pitched: both
-    stand on their soles. A forearm of unknown direction is parallel to the upper arm.
+    their bones parallel, forearms after the upper arms that they hang on, and legs so that knees bend ahead. A foot is spread as its leg is, and turned about
+    the leg, not pitched: both stand on their soles; the target's is put on its sole if it is not in the zero pose. A
+    forearm of unknown direction is parallel to the upper arm. So are shoulders, where the target's chest is turned.
     """
-    side, _, name = segment.partition("_")
-    turn = Rotation.identity()
-    if name == "foot":
-        spread = _bone_turn(source, target, f"{side}_shin", turn, [0.0, 1.0, 1.0])
-        turn = spread * _bone_turn(source, target, segment, spread, [1.0, 1.0, 0.0])
-    elif segment in BONES:
-        known = BONES[segment][1] in source.points
-        bone = segment if known else segment.replace("forearm", "upper_arm")
-        turn = _bone_turn(source, target, bone, turn, [1.0, 1.0, 1.0])
+    turn = _turn(source, target, segment)
     axes = Rotation.from_matrix(source.axes) * turn * Rotation.from_matrix(target.axes).inv()
     return _quaternion(axes)
 
 
+def _turn(source: Figure, target: Figure, segment: str) -> Rotation:
+    """Of the target's segment in the zero pose, forward, left, up, to how it is when the source is in its own."""
+    side, _, name = segment.partition("_")
+    if segment in ("chest", "head"):
+        return _chest_turn(source, target)
+    if name == "foot" and side in target.flat:
+        ahead = _direction(source, segment) * [1.0, 1.0, 0.0]
+        down = _direction(source, f"{side}_shin") * [0.0, 1.0, 1.0]
+        yaw = _shortest_turn(np.array([1.0, 0.0, 0.0]), ahead)
+        return _shortest_turn(np.array([0.0, 0.0, -1.0]), down) * yaw * target.flat[side]
+    if name == "foot":
+        spread = _bone_turn(source, target, f"{side}_shin", [0.0, 1.0, 1.0])
+        return spread * _bone_turn(source, target, segment, [1.0, 1.0, 0.0], spread)
+    if name == "forearm":
+        known = BONES[segment][1] in source.points
+        upper = f"{side}_upper_arm"
+        above = _turn(source, target, upper)
+        return _bone_turn(source, target, segment, theirs=segment if known else upper, above=above)
+    if name == "upper_arm":
+        return _bone_turn(source, target, segment, above=_chest_turn(source, target))
+    if name in ("thigh", "shin"):
+        turn = _bone_turn(source, target, segment)
+        along, axis = (
+            turn.apply(v) for v in (_direction(target, segment), target.knees.get(side, _NONE))
+        )
+        level, left = (v - (v @ along) * along for v in (axis, np.array([0.0, 1.0, 0.0])))
+        more = _shortest_turn(level if level @ left > 0.0 else -level, left)
+        sure = min(np.linalg.norm(level), np.linalg.norm(left)) > 0.5
+        return more * turn if sure and more.magnitude() > _TURNED else turn
+    return _bone_turn(source, target, segment) if segment in BONES else Rotation.identity()
+
+
+def _chest_turn(source: Figure, target: Figure) -> Rotation:
+    """What makes the target's chest parallel to the source's, if it is turned in the zero pose."""
+    turn = Rotation.identity()
+    for ends in (("right_shoulder", "left_shoulder"), ("chest", "head")):
+        if all(end in figure.points for end in ends for figure in (source, target)):
+            theirs, ours = source.between(*ends), turn.apply(target.between(*ends))
+            more = _shortest_turn(ours, theirs)
+            if min(np.linalg.norm(theirs), np.linalg.norm(ours)) > _SHORTEST and (
+                more.magnitude() > (_TURNED if ends[0] != "chest" else _BENT)
+            ):
+                turn = more * turn
+    return turn
+
+
+def _direction(figure: Figure, bone: str) -> np.ndarray:
+    """(3,) of length 1, or 0 if it is not known: forward, left, up, in the zero pose."""
+    if not all(end in figure.points for end in BONES[bone]):
+        return np.zeros(3)
+    along = figure.between(*BONES[bone])
+    return along / max(float(np.linalg.norm(along)), 1e-9)
+
+
 def _bone_turn(
-    source: Figure, target: Figure, bone: str, before: Rotation, directions: list[float]
+    source: Figure,
+    target: Figure,
+    bone: str,
+    directions: Sequence[float] = (1.0, 1.0, 1.0),
+    before: Rotation | None = None,
+    *,
+    theirs: str = "",
+    above: Rotation | None = None,
 ) -> Rotation:
-    """The turn that makes the target's bone parallel to the source's in the zero pose if `before` is
-    applied after it. Only these directions (forward, left, up) count."""
-    ends = BONES[bone]
-    if not all(end in figure.points for end in ends for figure in (source, target)):
-        return Rotation.identity()
-    theirs = before.inv().apply(source.between(*ends)) * directions
-    ours = target.between(*ends) * directions
-    if min(np.linalg.norm(theirs), np.linalg.norm(ours)) < _SHORTEST:
-        return Rotation.identity()
-    return _shortest_turn(ours, theirs)
+    """The turn that makes the target's bone parallel to the source's, or to `theirs` of it, in the zero pose, if `before`
+    is applied after it; `above` is how what it hangs on is turned. Only these directions (forward, left, up) count."""
+    above = Rotation.identity() if above is None else above
+    pairs = ((source, BONES[theirs or bone]), (target, BONES[bone]))
+    if not all(end in figure.points for figure, ends in pairs for end in ends):
+        return above
+    wanted = source.between(*pairs[0][1])
+    wanted = (wanted if before is None else before.inv().apply(wanted)) * directions
+    ours = above.apply(target.between(*pairs[1][1])) * directions
+    if min(np.linalg.norm(wanted), np.linalg.norm(ours)) < _SHORTEST:
+        return above
+    return _shortest_turn(ours, wanted) * above
 
 
 def _shortest_turn(start: np.ndarray, end: np.ndarray) -> Rotation:
+    if min(np.linalg.norm(start), np.linalg.norm(end)) < 1e-9:
+        return Rotation.identity()
     return Rotation.align_vectors(end, start)[0]
 
 

@@ -5,7 +5,8 @@ where they touch it.
 2. *Key points* are the source's pose on the character's limbs: each bone points where the source's
    does and has the character's length; the pelvis travels at the scale of the legs. Pelvis, chest,
    head and feet turn as the source's do, from how each of the two stands in its zero pose.
-   A zero pose that is no stance is replaced by one that is (:mod:`understudy_retarget.stance`).
+   A clip's zero pose that is no stance is replaced by one that is (:mod:`understudy_retarget.stance`); a character's soles,
+   knees and shoulders say how it would stand. What is smaller or larger than people is posed in their size.
 3. Feet that touch the floor are planted on it (:mod:`understudy_retarget.feet`).
 4. Inverse kinematics finds the poses that come nearest (:mod:`understudy_retarget.solver`).
 """
@@ -17,13 +18,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy_characters.character import Character
 from understudy_characters.contacts import foot_points
 from understudy_characters.kinematics import Kinematics
-from understudy_motion.clip import Clip, sample, velocities
+from understudy_motion.clip import Clip, Skeleton, sample, velocities
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
 from understudy_retarget import feet
 from understudy_retarget.anatomy import PARTS, SIDES, Parts, find_parts, path_up
@@ -46,6 +48,10 @@ NEEDED: tuple[str, ...] = tuple(
 #: Of the length of the character's legs: a mean error beyond it is no motion of the clip's any more. On
 #: humanoids and robots it is 0.002 to 0.025, on a quadruped 0.09.
 POOR = 0.05
+#: Of the cosines of trunk and legs with the vertical, by how much more they stand in another frame.
+_BETTER = 0.3
+#: m: legs of people and robots of their size; and what others are made as long as, while they are posed.
+_LEAST_LEG, _LONGEST_LEG, _USUAL_LEG = 0.5, 1.3, 0.85
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,7 @@ class Report:
     mapping: Mapping[str, tuple[str, str]]  #: by part: the character's joint, the clip's joint
     missing: tuple[str, ...]  #: parts of the character that the clip does not have
     unused: tuple[str, ...]  #: joints of the clip that no part of the character follows
+    still: tuple[str, ...]  #: joints of the character in which no part of a body is recognised
     no_stance: tuple[str, ...]  #: limbs of the clip whose zero pose is none to stand in
     scale: float
     errors: Mapping[str, tuple[float, float]]  #: m, by key point: mean and worst over the frames
@@ -105,10 +112,13 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
         options name joints that do not exist.
     """
     skeleton = need_skeleton(clip)
-    own_parts = find_parts(character.skeleton, {}, f"Character {character.name}")
+    own_parts, stood = _stance(character)
     given = _given(options.map, character, own_parts, clip)
     parts = find_parts(skeleton, given, f"Clip {clip.source}")
-    target, soles = _target(character, own_parts)
+    target, soles = _target(character, own_parts, stood)
+    size = _size(target)
+    if size != 1.0:
+        target, soles = _target(character, own_parts, stood, size)
     source = Figure(skeleton, parts)
     _check(source, target, clip, character)
     clip, turned = standing(clip, parts)
@@ -118,14 +128,16 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
     wide = clip
     if clip.loop:
         wide, own_frames = _with_neighbours(clip)
-    goals = Goals(wide, source, target, options.scale)
+    goals = Goals(wide, source, target, options.scale and size * options.scale)
     touching = goals.stand(soles)
     planted = {
         side: feet.planted(wide.times, *goals.foot(side), sole, touching[side])
         for side, sole in soles.items()
     }
-    kinematics = Kinematics(character)
+    kinematics = Kinematics(character, size)
     qpos = pose(kinematics, target, goals, planted, soles)
+    root = slice(character.root_address, character.root_address + 3)
+    qpos[:, root] /= size
     qpos = lifted(character, qpos, wide.times)[own_frames]
     about = {
         key: getattr(clip, key) for key in ("source", "licence", "sha256", "url", "attribution")
@@ -134,17 +146,20 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
     if clip.loop:
         result = _closed(result)
     points = {part: track[own_frames] for part, track in goals.points.items()}
-    errors = _errors(kinematics, target, qpos, points)
-    skate, share = _skate(result, soles, touching, own_frames)
+    sized = qpos.clone()
+    sized[:, root] *= size
+    errors = {part: e / size for part, e in _errors(kinematics, target, sized, points).items()}
+    skate, share = _skate(result, soles, touching, own_frames, size)
     report = Report(
         mapping=_mapping(target, source),
         missing=tuple(p for p in own_parts if p not in source.points and p not in source.segments),
         unused=_unused(source, target),
-        scale=goals.scale,
+        still=_still(target),
+        scale=goals.scale / size,
         errors={part: (float(e.mean()), float(e.max())) for part, e in errors.items()},
         mean_error=float(torch.stack(list(errors.values())).mean()),
         worst_error=float(torch.stack(list(errors.values())).max()),
-        leg=_leg(target),
+        leg=_leg(target) / size,
         upright=_upright(target),
         contact_share=share,
         skate=skate,
@@ -221,31 +236,92 @@ def _turn_is_known(source: Figure, part: str) -> bool:
     return name == "wrist" and elbow in source.parts and source.ends_at(elbow)
 
 
-def _target(character: Character, parts: Parts) -> tuple[Figure, dict[str, Sole]]:
-    """The character's figure, and by side the soles of its feet.
+def _stance(character: Character) -> tuple[Parts, np.ndarray]:
+    """The character's parts, and (3, 3) forward, left and up of its zero pose, as columns, in the root's frame: those of
+    the frame itself, or of the model's world, where its trunk and legs stand better in that."""
+    at, skeleton = character.root_address, character.skeleton
+    turn = Rotation.from_quat(character.model.qpos0[at + 3 : at + 7], scalar_first=True)
+    found, best = None, -np.inf
+    for axes in (np.eye(3), turn.inv().as_matrix()):
+        tips = {name: tip @ axes for name, tip in skeleton.tips.items()}
+        turned = replace(skeleton, offsets=skeleton.offsets @ axes, tips=tips)
+        parts = find_parts(turned, {}, f"Character {character.name}")
+        figure = Figure(turned, parts)
+        pairs = [(f"{side}_ankle", f"{side}_hip") for side in SIDES] + 2 * [("pelvis", "chest")]
+        spans = [
+            figure.at_rest(high) - figure.at_rest(low)
+            for low, high in pairs
+            if low in figure.points and high in figure.points
+        ]
+        stands = sum(float(span[2] / max(np.linalg.norm(span), 1e-9)) for span in spans)
+        if found is None or stands > best + _BETTER:
+            found, best = (parts, axes), stands
+    assert found is not None
+    return found
+
+
+def _sized(skeleton: Skeleton, size: float) -> Skeleton:
+    tips = {name: size * tip for name, tip in skeleton.tips.items()}
+    return (
+        skeleton if size == 1.0 else replace(skeleton, offsets=size * skeleton.offsets, tips=tips)
+    )
+
+
+def _size(figure: Figure) -> float:
+    """By what a character is made larger so that what counts in m for feet and bones of people counts for it, too: 1 for
+    one with legs such as people's and full-grown robots'."""
+    if not all(
+        f"{side}_{part}" in figure.points for side in SIDES for part in ("hip", "knee", "ankle")
+    ):
+        return 1.0
+    leg = _leg(figure)
+    return 1.0 if _LEAST_LEG <= leg <= _LONGEST_LEG or leg <= 0.0 else _USUAL_LEG / leg
+
+
+def _target(
+    character: Character, parts: Parts, stood: np.ndarray, size: float = 1.0
+) -> tuple[Figure, dict[str, Sole]]:
+    """The character's figure, made larger by `size`, and by side the soles of its feet.
 
     Its toes are the front edges of the soles. A foot that is a piece of the shin has its ankle there,
     too.
     """
-    figure = Figure(character.skeleton, parts)
-    carried, soles = foot_points(character), {}
+    figure, soles = Figure(_sized(character.skeleton, size), parts, stood), {}
+    below: dict[str, set[str]] = {}  # of each foot, the joints that carry it
     for side in SIDES:
+        joint = figure.segments.get(f"{side}_foot", figure.segments.get(f"{side}_shin"))
+        if joint is not None:
+            names = figure.skeleton.joint_names
+            below[side] = {
+                n for row, n in enumerate(names) if joint in path_up(figure.skeleton, row)
+            }
+        knee = parts.get(f"{side}_knee", (0,))[-1]
+        if len(character.joints[knee].axes) == 1:
+            axis = character.rest_rotations[knee].apply(character.joints[knee].axes[0])
+            figure.knees[side] = axis @ figure.axes
+    carried = foot_points(character, {name for names in below.values() for name in names})
+    for side in below:
         foot, ankle = f"{side}_foot", f"{side}_ankle"
-        joint = figure.segments.get(foot, figure.segments.get(f"{side}_shin"))
-        if joint is None:
-            continue
+        joint = figure.segments.get(foot, figure.segments[f"{side}_shin"])
         points = [
-            vertices + torch.from_numpy(figure.rest[row] - figure.rest[joint])
+            size * vertices + torch.from_numpy(figure.rest[row] - figure.rest[joint])
             for row, name in enumerate(figure.skeleton.joint_names)
-            if (vertices := carried.get(name)) is not None
-            and joint in path_up(figure.skeleton, row)
+            if (vertices := carried.get(name)) is not None and name in below[side]
         ]
+        if not points and ankle in figure.points:  # which then is what rests on the floor
+            place = torch.from_numpy(figure.at_rest(ankle) - figure.rest[joint])
+            soles[side] = Sole.point(joint, place[None], figure.axes)
         if not points:
             continue
         vertices = torch.cat(points)
         if foot in figure.segments:
             place = torch.from_numpy(figure.at_rest(ankle) - figure.rest[joint])
-            sole = Sole.of(joint, place, vertices, figure.axes)
+            axes, shin = figure.axes, figure.between(ankle, f"{side}_knee")
+            turn = feet.flattening((vertices - place).numpy() @ axes, shin)
+            if turn is not None:
+                figure.flat[side] = turn
+                axes = axes @ turn.inv().as_matrix()
+            sole = Sole.of(joint, place, vertices, axes)
             figure.points[f"{side}_toe"] = Place(joint, (sole.ankle + sole.toe).numpy())
         else:
             sole = Sole.point(joint, vertices, figure.axes)
@@ -268,7 +344,8 @@ def _upright(figure: Figure) -> bool:
     if "chest" not in figure.points or "pelvis" not in figure.points:
         return True
     trunk = figure.at_rest("chest") - figure.at_rest("pelvis")
-    return bool(trunk[2] > 0.3 * max(float(np.linalg.norm(trunk)), 1e-6))
+    up = float(trunk @ figure.stood[:, 2])
+    return up > 0.3 * max(float(np.linalg.norm(trunk)), 1e-6)
 
 
 def _mapping(target: Figure, source: Figure) -> dict[str, tuple[str, str]]:
@@ -291,6 +368,15 @@ def _unused(source: Figure, target: Figure) -> tuple[str, ...]:
         if part in target.parts or part in target.points:
             used.update(path_up(source.skeleton, chain[-1]))
     names = source.skeleton.joint_names
+    return tuple(name for joint, name in enumerate(names) if joint not in used)
+
+
+def _still(target: Figure) -> tuple[str, ...]:
+    """Joints of the character on no way from its root to a part of the body."""
+    used = {0}
+    for chain in target.parts.values():
+        used.update(path_up(target.skeleton, chain[-1]))
+    names = target.skeleton.joint_names
     return tuple(name for joint, name in enumerate(names) if joint not in used)
 
 
@@ -333,7 +419,11 @@ def _errors(
 
 
 def _skate(
-    clip: Clip, soles: Mapping[str, Sole], touching: Mapping[str, Contacts], frames: slice
+    clip: Clip,
+    soles: Mapping[str, Sole],
+    touching: Mapping[str, Contacts],
+    frames: slice,
+    size: float,
 ) -> tuple[float, float]:
     """Mean horizontal speed, m/s, of heels and toes from frame to frame of contact, and how often
     a foot is in contact."""
@@ -341,7 +431,7 @@ def _skate(
     speeds, shares = [], []
     for side, sole in soles.items():
         for point, touches in ((sole.heel, touching[side].heel), (sole.toe, touching[side].toe)):
-            place = Place(sole.joint, (sole.ankle + point).numpy())
+            place = Place(sole.joint, (sole.ankle + point).numpy() / size)
             track = place.track(positions, world)[:, :2]
             both = touches[frames][1:] & touches[frames][:-1]
             speed = torch.linalg.vector_norm(track.diff(dim=0), dim=-1) / clip.times.diff()

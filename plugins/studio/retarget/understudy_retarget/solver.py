@@ -34,6 +34,8 @@ LARGEST_STEP = 0.5
 """rad and m per degree of freedom."""
 
 _FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e2
+_LEAST_DAMPING = 1e-12
+"""Of what no goal asks for, more than rounding takes away from it."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class _Problem:
             better = cost_there <= cost
             result[active[better]] = tried[better]
             damping[active] *= torch.where(better, 0.3, 8.0)
+            damping.clamp_(min=_LEAST_DAMPING)
             unfinished = step.abs().amax(-1) > CLOSE
             unfinished = torch.where(better, unfinished, damping[active] < _MOST_DAMPING)
             if not unfinished.any():

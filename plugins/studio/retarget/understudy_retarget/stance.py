@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
-from understudy_retarget.anatomy import SIDES, Parts, path_up
+from understudy_retarget.anatomy import SIDES, Parts, path_up, rest_positions
 from understudy_retarget.figure import BONES, Figure
 
 #: Of a foot's length in its shin's: less may be the ankle's height above the sole.
@@ -33,8 +33,12 @@ _UPRIGHT = 0.8
 _STEADY, _PITCHED, _ON_TOES = 0.25, 0.28, 0.45
 #: rad: no leg is turned about itself by so much on average.
 _TWISTED = 1.0
-#: rad: nor a chest against its pelvis, or a head against its chest, which bend further than that.
-_BENT = 1.3
+#: rad: nor an arm against what it hangs on, while it is not stretched backwards (the cosine of that); nor is a foot rolled
+#: and turned against its shin. Recorded clips have up to 1.2, and 0.75.
+_ROLLED, _BACKWARDS, _TILTED = 1.4, -0.3, 1.0
+#: rad: nor a chest against its pelvis, which recorded clips have by up to 0.85 (a roll), or a head against its chest, by
+#: 1.06.
+_CROOKED, _BENT = 1.0, 1.3
 
 
 def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
@@ -52,7 +56,7 @@ def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
     figure, posed = Figure(skeleton, parts), _Posed(clip)
     # Of limbs on such a trunk a zero pose that could be a stance is one by chance.
     limbs = ("legs", "arms", "head") if trunk else tuple(_no_stance(figure, posed))
-    feet = {} if "legs" in limbs else _pitched_feet(skeleton, figure, posed)
+    feet = {} if {"legs", "feet"} & {*limbs} else _pitched_feet(skeleton, figure, posed)
     for joint, turn in feet.items():
         posed.fixed[joint] = turn
     if not limbs and not feet:
@@ -88,16 +92,21 @@ def _with_trunk(clip: Clip, parts: Parts) -> Clip:
     if pelvis == chest or not ends <= set(parts):
         return clip
     posed = _Posed(clip)
-    if (posed.turns[pelvis].inv() * posed.turns[chest]).mean().magnitude() <= _BENT:
-        return clip
     origins = posed.tracks[0].numpy()
     at = {part: origins[:, parts[part][0]] for part in ends}
     middle = [0.5 * (at[f"left_{part}"] + at[f"right_{part}"]) for part in ("shoulder", "hip")]
+    rest = rest_positions(skeleton)
+    spine = rest[[parts[f"{side}_shoulder"][0] for side in SIDES]].mean(axis=0)
+    spine = spine - rest[[parts[f"{side}_hip"][0] for side in SIDES]].mean(axis=0)
 
     def within(track: np.ndarray) -> np.ndarray:
         return posed.turns[pelvis].apply(track, inverse=True).mean(axis=0)
 
     left, up = within(at["left_hip"] - at["right_hip"]), within(middle[0] - middle[1])
+    bent = np.arctan2(np.linalg.norm(np.cross(spine, up)), spine @ up)
+    turned = (posed.turns[pelvis].inv() * posed.turns[chest]).mean().magnitude()
+    if max(bent, turned) <= _CROOKED:
+        return clip
     forward = np.cross(left, up)
     if np.linalg.norm(forward) < 0.1 * np.linalg.norm(left) * np.linalg.norm(up):
         return clip
@@ -204,10 +213,18 @@ def _no_stance(figure: Figure, posed: _Posed) -> Iterator[str]:
             return True
         out = upper[1] if side == "left" else -upper[1]
         straight = lower is None or float(upper @ lower) > 0.0
+        bones = [
+            (f"{side}_upper_arm", "chest", upper),
+            (f"{side}_forearm", f"{side}_upper_arm", lower),
+        ]
+        if any(_rolled(figure, posed, *bone) > _ROLLED for bone in bones):
+            return False
         return bool(upper[2] < 0.5 and out > -0.5 and abs(upper[0]) < 0.9) and straight
 
     if not all(map(leg, SIDES)):
         yield "legs"
+    elif any(_tilted(figure, posed, side) > _TILTED for side in SIDES):
+        yield "feet"
     if not all(map(arm, SIDES)):
         yield "arms"
     head = along("chest", "head")
@@ -221,6 +238,37 @@ def _turned_head(figure: Figure, posed: _Posed) -> float:
     if head is None or chest is None:
         return 0.0
     return float((posed.turns[chest].inv() * posed.turns[head]).mean().magnitude())
+
+
+def _rolled(
+    figure: Figure, posed: _Posed, segment: str, holds: str, bone: np.ndarray | None
+) -> float:
+    """rad: by how much an arm's segment is turned about its `bone` (3,), on average, against what `holds` it; 0 where it is
+    bent so far that this says nothing."""
+    joints = figure.segments.get(segment), figure.segments.get(holds)
+    if bone is None or None in joints or joints[0] == joints[1]:
+        return 0.0
+    turned = _against(figure, posed, segment, holds)
+    w, *axis = turned.as_quat(scalar_first=True)
+    if turned.apply(bone) @ bone < _BACKWARDS:
+        return 0.0
+    return abs(2.0 * float(np.arctan2(np.array(axis) @ bone, abs(w))))
+
+
+def _tilted(figure: Figure, posed: _Posed, side: str) -> float:
+    """rad: by how much a foot is rolled and turned, or beyond that pitched, against its shin, on average."""
+    foot, shin = (figure.segments.get(f"{side}_{name}") for name in ("foot", "shin"))
+    if foot is None or shin is None or foot == shin:
+        return 0.0
+    roll, pitch, yaw = _against(figure, posed, f"{side}_foot", f"{side}_shin").as_rotvec()
+    return float(max(np.hypot(roll, yaw), abs(pitch) - _PITCHED))
+
+
+def _against(figure: Figure, posed: _Posed, segment: str, holds: str) -> Any:
+    """The segment's turn against another one, on average: in forward, left, up of the zero pose."""
+    body = Rotation.from_matrix(figure.axes)
+    own, above = (posed.turns[figure.segments[name]] for name in (segment, holds))
+    return body.inv() * (above.inv() * own).mean() * body
 
 
 def _twist(figure: Figure, posed: _Posed, side: str, bone: str) -> float:
@@ -239,6 +287,9 @@ def _below(skeleton: Skeleton, figure: Figure, limbs: tuple[str, ...]) -> set[in
     first = {"legs": ("hip", "pelvis"), "arms": ("shoulder", "chest"), "head": ("head", "chest")}
     tops = set()
     for limb in limbs:
+        if limb == "feet":
+            tops.update(figure.parts[f"{side}_ankle"][0] for side in SIDES)
+            continue
         part, trunk = first[limb]
         for name in (part, *(f"{side}_{part}" for side in SIDES)):
             if name not in figure.parts:

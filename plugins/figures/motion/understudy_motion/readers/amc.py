@@ -9,8 +9,9 @@ own pose all frames are parallel. The root is read as a bone whose axis is its `
 clip's joint sits where its bone begins.
 
 Lengths are in inches divided by the ``length`` of the ASF's ``:units`` (0.45 in CMU's files), unless
-the unit is given; a figure that is then smaller than 0.4 m or larger than 3 m is refused. Without that line the unit is the
-one that makes the figure an adult. Angles are in the unit that the
+the unit is given, by its name in place of inches or as the metres in one of the file's numbers; a figure that is then
+smaller than 0.4 m or larger than 3 m is refused. Without that line the unit is the one that makes the figure an adult.
+Angles are in the unit that the
 AMC says, else in the ASF's, else as in BVH. Most AMC have no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
 unless one is given (some of CMU's clips are of 60 frames/s), or a line ``:SAMPLES-PER-SECOND`` says it.
 
@@ -413,6 +414,8 @@ def _skeleton_of(path: Path) -> Path:
 
 def _metres(path: Path, figure: Figure, options: ReadOptions, up: Axis) -> float:
     """The metres in a unit of the figure: as given, as its file says, else as its height shows."""
+    if options.unit and not isinstance(options.unit, str):
+        return float(options.unit)  # a number of metres is that of the file's own numbers
     stated = 1.0 / (figure.length_unit or 1.0)
     if options.unit:
         return metres_of(options.unit) * stated
@@ -428,8 +431,8 @@ def _metres(path: Path, figure: Figure, options: ReadOptions, up: Axis) -> float
         if not least <= (size := float(extents.max()) * metres) <= most:
             raise FileError(
                 f"Skeleton {path}: by its section :units (inches divided by {figure.length_unit:g}) the figure is {size:.3g} m from "
-                f"end to end, and figures are {least:g} to {most:g} m. Give motion.unit, one of {', '.join(METRES)}, or the "
-                "metres in a unit (--unit), before that division; inch if this is its size."
+                f"end to end, and figures are {least:g} to {most:g} m. Give motion.unit (--unit): one of {', '.join(METRES)}, before "
+                "that division, or the metres in one of the file's numbers; inch if this is its size."
             )
         return metres
     metres = unit_of_height(float(extents["xyz".index(up)]))

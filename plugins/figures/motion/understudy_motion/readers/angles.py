@@ -57,7 +57,7 @@ RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
 _COUNTED = re.compile(r"([a-z_ :.]{0,20}?)([0-9]{1,4})(?:\.0)?", re.IGNORECASE)
 """The number of a column, perhaps with a word before it."""
-_TURNS, _FAR = 4.0 * np.pi, 50.0
+_TURNS, _FAR = 2.0 * np.pi, 50.0
 """rad and m beyond which the unit is another."""
 _ROOT = re.compile(
     r"(?:(?:floating[\W_]*)?(?:root|base|pelvis|free(?:joint)?|global))?[\W_]*"
@@ -162,14 +162,12 @@ class AnglesReader(ClipReader):
         if degrees:
             position, turn, angles = _protomotions(path, rows, unit)
         else:
-            position, turn, angles = _plain(path, rows, unit, order is not None)
-        axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
-        hinges = rotations.from_axis_angle(axis, torch.from_numpy(angles))
+            position, turn, angles = root_and_angles(path, rows, unit, order is not None)
         return Clip(
             name=path.stem,
             times=torch.arange(len(rows), dtype=torch.float64) / (options.rate or rate),
             root_position=torch.from_numpy(position.copy()),
-            rotations=torch.cat((torch.from_numpy(turn)[:, None], hinges), dim=1),
+            rotations=angle_rotations(turn, angles),
             joint_names=joints,
             loop=bool(options.loop),
             **provenance(path, content),
@@ -336,7 +334,14 @@ def _words(line: str, delimiter: str | None) -> list[str]:
     return [w[1:-1] if len(w) > 2 and w[0] == w[-1] == "'" else w for w in plain]
 
 
-def _plain(
+def angle_rotations(turn: np.ndarray, angles: np.ndarray) -> torch.Tensor:
+    """(F, 1 + H, 4): the root's rotation (F, 4), and the hinges' turns about x by their angles (F, H) rad."""
+    axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    hinges = rotations.from_axis_angle(axis, torch.from_numpy(angles))
+    return torch.cat((torch.from_numpy(turn)[:, None], hinges), dim=1)
+
+
+def root_and_angles(
     path: Path, rows: np.ndarray, unit: float | None, said: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position (F, 3) m, rotation (F, 4) and angles (F, H) rad of a table whose quaternion is xyzw if its header has

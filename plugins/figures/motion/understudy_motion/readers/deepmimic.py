@@ -96,9 +96,17 @@ class DeepMimicReader(ClipReader):
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path, MAX_BYTES)
         document = _document(path, content)
-        loop = document.get("Loop")
-        if not isinstance(loop, str) or loop not in LOOPS:
-            raise FileError(f'Clip {path}: \'Loop\' must be "wrap" or "none".')
+        said = document.get("Loop")
+        loop = (
+            said
+            if isinstance(said, bool)
+            else LOOPS.get(said.lower() if isinstance(said, str) else "")
+        )
+        loop = loop if options.loop is None else options.loop
+        if loop is None:
+            raise FileError(
+                f'Clip {path}: \'Loop\' must be "wrap" or "none"; or say it by motion.loop=true or false.'
+            )
         rows = _rows(path, document)
         durations = rows[:-1, 0]
         if len(durations) and (usual := float(np.median(durations))) > SLOWEST:
@@ -117,7 +125,7 @@ class DeepMimicReader(ClipReader):
             root_position=torch.stack((values[:, 1], -values[:, 3], values[:, 2]), dim=-1),
             rotations=_rotations(values[:, 4:]),
             joint_names=tuple(name for name, _ in JOINTS),
-            loop=LOOPS[loop] if options.loop is None else options.loop,
+            loop=loop,
             skeleton=_skeleton(),
             **provenance(path, content),
         )

@@ -294,7 +294,8 @@ def _vectors(
                 "rotation vector last."
             )
         values = archive.floats(name, *([None] * max(2, len(shape))))
-        return values.reshape(max(shape[:2]) if _single(shape) is not None else len(values), -1)
+        frames = max(shape[:2]) if _single(shape) is not None else len(values)
+        return values.reshape(frames, math.prod(values.shape) // max(frames, 1))
     values = archive.floats(name, *shape).reshape(found)
     return turns.vectors(path, name, values, first).reshape(found[0], 3 * found[1])
 
