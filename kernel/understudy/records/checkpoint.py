@@ -26,7 +26,7 @@ from torch import Tensor
 from understudy.errors import PluginError, RunError
 from understudy.folders import opened, read, write_atomically
 
-__all__ = ["load", "misshapen", "newest", "save"]
+__all__ = ["load", "misshapen", "newest", "read_sealed", "save"]
 
 #: Version of the layout that is written. Version 2, without deflated tensors, is read, too.
 FORMAT = 3
@@ -115,7 +115,7 @@ def _finite(text: str) -> float:
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """The content of a sealed JSON file, its digest checked."""
+    """What the sealed JSON file of a checkpoint has; a RunError if it is missing, or its digest does not match."""
     try:
         outer = json.loads(read(path))
         body = outer["content"]
