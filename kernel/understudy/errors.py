@@ -10,9 +10,17 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
-    "ConfigError", "FileError", "PluginError", "PreemptedError", "RunError", "TrainingError",
-    "UnderstudyError", "said", "shown", "suggestion",
-]  # fmt: skip
+    "ConfigError",
+    "FileError",
+    "PluginError",
+    "PreemptedError",
+    "RunError",
+    "TrainingError",
+    "UnderstudyError",
+    "said",
+    "shown",
+    "suggestion",
+]
 
 
 class UnderstudyError(Exception):

@@ -20,9 +20,17 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 
 __all__ = [
-    "REQUIRED", "Option", "as_yaml", "at", "check_range", "checked_options", "in_words",
-    "make_options", "options_of", "schema_of",
-]  # fmt: skip
+    "REQUIRED",
+    "Option",
+    "as_yaml",
+    "at",
+    "check_range",
+    "checked_options",
+    "in_words",
+    "make_options",
+    "options_of",
+    "schema_of",
+]
 
 
 @dataclass(frozen=True)

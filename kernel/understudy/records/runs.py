@@ -42,9 +42,15 @@ from understudy.setup.validation import refuse_code, validate
 from understudy.task import State
 
 __all__ = [
-    "Run", "cores", "create", "differences", "newest_state", "open_run", "refuse_a_second",
+    "Run",
+    "cores",
+    "create",
+    "differences",
+    "newest_state",
+    "open_run",
+    "refuse_a_second",
     "versions",
-]  # fmt: skip
+]
 
 LAYOUT = 3  #: version of the folder's layout
 _METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of one of its rows

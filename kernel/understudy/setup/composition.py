@@ -13,20 +13,27 @@ from typing import Any
 
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
-from understudy.setup.option_files import MARK, compose, parsed, resolved
+from understudy.setup.option_files import MARK, compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
-    "compose_raw", "for_hydra", "hydra_session", "load_experiment", "options", "refuse_resolvers",
-    "replaced", "split_overrides",
-]  # fmt: skip
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "split_overrides",
+]
 
 
 @contextlib.contextmanager
@@ -308,7 +315,8 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         folders = [folder for _, folder in plugins.folders()]
-        raw = resolved(compose(folders, for_hydra(kept, plugins), own=chosen))
+        config = compose(folders, for_hydra(kept, plugins), own=chosen)
+        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     refuse_code(raw)
     # Leaves are copied, since two keys that share one (``${…}``) may have different types.
     given = each(raw, copy.copy) | dict.fromkeys(emptied)

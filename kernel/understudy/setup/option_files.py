@@ -10,7 +10,6 @@ import contextlib
 import copy
 import functools
 import os
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,9 +31,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf._utils import get_yaml_loader
 
 from understudy.errors import ConfigError
-from understudy.options import as_typed, each, items, plain
+from understudy.options import as_typed, each, plain
 
-__all__ = ["OptionFiles", "choices", "compose", "parsed", "resolved"]
+__all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
 #: A version of a file: its path, time of change, size and inode.
 Version = tuple[str, int, int, int]
@@ -42,7 +41,7 @@ Version = tuple[str, int, int, int]
 _read: dict[Version, tuple[ConfigResult, dict[str, Any]]] = {}
 #: What was merged, by folders, overrides that choose files, and groups that stand alone: the
 #: versions of all files that were asked for, and the result.
-_merged: dict[tuple[str | None, ...], tuple[dict[str, Version | None], dict[str, Any]]] = {}
+_merged: dict[tuple[str | None, ...], tuple[dict[str, Version | None], DictConfig]] = {}
 #: Marks a number on the command line whose text is kept beside its value.
 MARK = "\ue000"
 
@@ -80,8 +79,7 @@ class OptionFiles(ConfigRepository):
 
     def load_config(self, config_path: str) -> ConfigResult | None:
         found, _ = self._found(config_path) or (None, {})
-        own = found and [copy.copy(default) for default in found.defaults_list or ()]
-        return found and replace(found, defaults_list=own)
+        return found and replace(found, defaults_list=copy.deepcopy(found.defaults_list))
 
     def content(self, default: ResultDefault) -> dict[str, Any]:
         """The content of the chosen file, at the place where it goes."""
@@ -143,18 +141,16 @@ def compose(
     values = Overrides(files, read).config_overrides
     chosen = (o.input_line for o in read if o not in values)
     key = (*(s.path for s in files.sources), None, *chosen, None, *sorted(own))
-    versions, content = _merged.get(key, ({}, None))
-    if content is None or any(files.version(name) != old for name, old in versions.items()):
-        content = {}
+    versions, config = _merged.get(key, ({}, None))
+    if not config or any(files.version(name) != old for name, old in versions.items()):
+        content: dict[str, Any] = {}
         for default in choices(files, overrides).defaults:
             others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
             said = files.content(default)
             content = _laid(content, {k: v for k, v in said.items() if k not in others})
-        for path, item in items(content):
-            if isinstance(item, str) and "${" in item:
-                OmegaConf.create({path: item})  # an error says what is wrong with it
-        _merged[key] = files.versions, content
-    config = _node(content)._set_flag(["allow_objects", "struct"], True)
+        config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
+        _merged[key] = files.versions, config
+    config = copy.deepcopy(config)
     for override in values:
         value = each(override.value(), _number)
         if isinstance(value, Mapping) and "name" in value and not override.is_delete():
@@ -162,45 +158,6 @@ def compose(
         override = replace(override, _value=value)
         ConfigLoaderImpl._apply_overrides_to_config([override], config)
     return config
-
-
-def resolved(config: DictConfig) -> Any:
-    """`config` as plain data, as OmegaConf's ``to_container`` makes it. That takes longer, and is
-    asked only where a word refers to others (``${…}``)."""
-
-    def of(node: Any) -> Any:
-        value = vars(node).get("_content", vars(node).get("_val"))
-        if isinstance(value, str) and "${" in value:
-            raise LookupError
-        if isinstance(value, dict):
-            return {key: of(item) for key, item in value.items()}
-        return [*map(of, value)] if isinstance(value, list) else value
-
-    try:
-        return of(config)
-    except LookupError:
-        return OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-
-
-#: Nodes as OmegaConf makes them, by what is in them.
-_LIKE = {type(value): OmegaConf.create({"": value})._get_node("") for value in ({}, [], 0)}
-
-
-def _node(value: Any, key: Any = None, parent: Any = None) -> Any:
-    """As ``OmegaConf.create(value)``, in a tenth of the time: words that refer to others
-    (``${…}``) are not looked through for mistakes, and leaves are shared."""
-    like: Any = _LIKE.get(type(value), _LIKE[int])
-    node, about = object.__new__(type(like)), object.__new__(type(like._metadata))
-    own = dict(key=key, flags={}, resolver_cache=defaultdict(dict))
-    vars(about).update(vars(like._metadata), **own)
-    vars(node).update(vars(like), _metadata=about, _parent=parent, _flags_cache=None)
-    if isinstance(value, dict):
-        vars(node)["_content"] = {k: _node(item, k, node) for k, item in value.items()}
-    elif isinstance(value, list):
-        vars(node)["_content"] = [_node(item, i, node) for i, item in enumerate(value)]
-    else:
-        vars(node)["_val"] = value
-    return node
 
 
 def _laid(old: Any, new: Any) -> Any:

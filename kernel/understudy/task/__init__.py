@@ -17,6 +17,20 @@ from understudy.task.physics import Scene, Simulator
 from understudy.task.rollout import Rollout
 
 __all__ = [
-    "ActionSpace", "Actuation", "Box", "Choice", "Context", "Curriculum", "Encoder", "Fields",
-    "InitialStates", "Memory", "Rollout", "Scene", "Shape", "Simulator", "State", "box",
-]  # fmt: skip
+    "ActionSpace",
+    "Actuation",
+    "Box",
+    "Choice",
+    "Context",
+    "Curriculum",
+    "Encoder",
+    "Fields",
+    "InitialStates",
+    "Memory",
+    "Rollout",
+    "Scene",
+    "Shape",
+    "Simulator",
+    "State",
+    "box",
+]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import lazy_choices
 import pytest
@@ -19,7 +17,7 @@ from understudy.errors import ConfigError
 from understudy.options import plain
 from understudy.setup import option_files
 from understudy.setup.composition import compose_raw
-from understudy.setup.option_files import OptionFiles, compose, parsed, resolved
+from understudy.setup.option_files import OptionFiles, compose, parsed
 from understudy.setup.plugins import Plugins
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -156,73 +154,6 @@ def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> No
     folders = [folder for _, folder in plugins.folders()]
     ours = OmegaConf.to_container(compose(folders, overrides))
     assert plain(ours) == OmegaConf.to_container(hydras(folders, overrides))
-
-
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        ["experiment=spacetime/walk", "++learner.gamma=0.5", "++run.dir='1e3'"],
-        [
-            "experiment=miniature/go",
-            "++start.file=???",
-            "++memory.of=null",
-            "++more=[1,{a: [b, null]}]",
-        ],
-        ["experiment=dressing/sleeve", "num_worlds=7"],  # which refers to another key
-        ["++a=${b}", "++b={c: ${num_worlds}}", "++num_worlds=3"],
-    ],
-)
-def test_plain_data_are_what_omegaconf_makes(overrides: list[str], plugins: Plugins) -> None:
-    config = compose([folder for _, folder in plugins.folders()], overrides)
-    theirs = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-    assert repr(resolved(config)) == repr(theirs)
-
-
-def test_a_reference_to_nothing_is_omegaconfs_error(plugins: Plugins) -> None:
-    config = compose([folder for _, folder in plugins.folders()], ["++a=${nothing}"])
-    with pytest.raises(OmegaConfBaseException, match="nothing"):
-        resolved(config)
-
-
-def nodes(node: Any) -> list[Any]:
-    """What OmegaConf knows of `node` and all within, but for the nodes above."""
-    known, content = vars(node), vars(node).get("_content")
-    own = {name: value for name, value in known.items() if name not in ("_parent", "_content")}
-    within = content.values() if isinstance(content, dict) else content or ()
-    assert all(vars(item)["_parent"] is node for item in within)
-    keys = [*content] if isinstance(content, dict) else None
-    return [type(node), own, keys, *map(nodes, within)]
-
-
-MADE = {"a": {"b": [1, {"c": None}, [], 0.5]}, "d": "${a}", "e": "???", "f": {}, "g": True}
-
-
-def test_nodes_are_as_omegaconf_makes_them() -> None:
-    """What they know of themselves, too; and they share nothing that changes."""
-    given = copy.deepcopy(MADE)
-    flags = {"allow_objects": True, "struct": True}
-    theirs = OmegaConf.create(given, flags=flags)
-    for _ in range(2):
-        ours = option_files._node(given)._set_flag(list(flags), True)
-        assert nodes(ours) == nodes(theirs)
-        with pytest.raises(OmegaConfBaseException, match=r"'x' is not in struct\n.*a.b\[1\].x"):
-            ours.a.b[1].x = 1
-        assert ours.d == ours.a
-        ours.a.b.append(2)
-        ours.a.b[1].c = 5
-        OmegaConf.set_readonly(ours.a, True)
-        assert given == MADE
-
-
-@pytest.mark.parametrize("word", ["${", "${a", "${a:", "x ${{a}"])
-def test_a_reference_that_cannot_be_read_is_omegaconfs_error(word: str, tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text(f"a: {{b: '{word}'}}\n")
-    with pytest.raises(OmegaConfBaseException) as theirs:
-        OmegaConf.create({"a": {"b": word}}, flags={"allow_objects": True, "struct": True})
-    with pytest.raises(OmegaConfBaseException) as ours:
-        compose([tmp_path], [])
-    assert str(ours.value).splitlines()[0] == str(theirs.value).splitlines()[0]
-    assert type(ours.value) is type(theirs.value)
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:
