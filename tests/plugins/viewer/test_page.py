@@ -284,6 +284,7 @@ def test_answers_its_own_address_alone(page: Page) -> None:
 def test_what_no_browser_says_changes_nothing(
     page: Page, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    page._player.playing = False  # the time that is shown goes on by itself
     playing = threading.Thread(target=page.run, daemon=True)
     playing.start()
     check_nonsense(page.url, page._server)

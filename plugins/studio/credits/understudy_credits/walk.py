@@ -14,7 +14,6 @@ from typing import Any
 from understudy.errors import RunError
 from understudy.folders import read
 from understudy.records import runs
-from understudy.records.checkpoint import read_sealed
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_credits.terms import PURPOSES, Purpose, Verdict, judge, named
@@ -222,6 +221,8 @@ def _model(
 
 def _harvested_from(files: list[Path]) -> Mapping[str, Any]:
     """What is known of the clip that a bank's run learned from; nothing where it had none, or is damaged."""
+    from understudy.records.checkpoint import read_sealed  # and torch, for its tensors
+
     for path in files:
         if path.suffix == ".json":
             with suppress(RunError):
