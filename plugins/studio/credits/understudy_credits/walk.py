@@ -254,6 +254,8 @@ def _weights(
         return
     config, start = mapping(made.info.get("config")), mapping(sources.get("start"))
     asked = {words.text(name) for name in sequence(mapping(config.get("actuation")).get("runs"))}
+    # wherever the configuration names them, as in stages of a sequence
+    asked |= {key.removeprefix("controller ") for key in copies if key.startswith("controller ")}
     if made.shipped:
         yield Item(f"weights of {made.name}", _distribution_licence(made.shipped))
     else:
@@ -271,7 +273,9 @@ def _weights(
                 f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}"
             )
         else:
-            parts = list(_data(inner, registry, depth - 1))
+            known = mapping(inner.info.get("licence")).get("items")  # of a pack
+            whole = items_of(inner, registry) if known else _data(inner, registry, depth - 1)
+            parts = [item for item in whole if not item.what.startswith("code ")]
             joined = dict.fromkeys(item.licence for item in parts)
             yield Item(f"weights of {Path(name).name}", " AND ".join(joined) or "unknown")
             yield from parts
@@ -281,7 +285,8 @@ def _inner(name: str, files: list[Path], registry: Registry) -> Made | None:
     """What the run has a copy of, or the skill that comes with a plugin."""
     from understudy.records import checkpoint
 
-    for file in files:
+    # first its own card: a run of before may have put other files into its folder
+    for file in sorted(files, key=lambda file: file.name != "run.json"):
         try:
             if file.name == "run.json":
                 return Made(name, mapping(json.loads(read(file))), file.parent)
