@@ -71,6 +71,20 @@ def test_a_pack_of_both_is_refused_with_what_to_pass_on(
     assert not any(tmp_path.iterdir())
 
 
+def test_the_licence_of_a_pack_names_the_bank_that_it_was_given(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of which its run has no copy, and whose states are in the pack."""
+    given = f"initial_states={{name: jumping/harvested, file: {runs / 'end'}}}"
+    file = tmp_path / "jump.json"
+    assert main(["play", str(runs / "jump"), given, "--pack", str(file)]) == 0
+    capsys.readouterr()
+    assert main(["licence", str(file), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["items"]
+    (item,) = [item for item in found if item["what"] == "file end"]
+    assert item["licence"] == "Apache-2.0 (generated)"
+
+
 def test_its_licence_names_clip_bank_and_both_policies(
     played: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -102,10 +102,15 @@ def _began_with(info: Mapping[str, Any]) -> Iterator[str]:
         start = mapping(mapping(start.get("sources")).get("start"))
 
 
-def answer(made: Made, registry: Registry | None = None) -> dict[str, Any]:
+def answer(
+    made: Made, registry: Registry | None = None, more: Mapping[str, list[Path]] | None = None
+) -> dict[str, Any]:
     """What travels with what is made from it, as plain data: its items, and by purpose what stands in the
-    way (nothing: an empty list)."""
+    way (nothing: an empty list). `more` are files of which `made` has no copies, by what was asked for."""
     items = items_of(made, registry)
+    items += [
+        item for asked, files in (more or {}).items() if (item := _file(asked, files)) not in items
+    ]
     return {
         "items": [{k: v for k, v in asdict(item).items() if v} for item in items],
         **{
@@ -168,15 +173,18 @@ def _data(made: Made, registry: Registry, depth: int) -> Iterator[Item]:
     yield from _model(made.info, copies, registry)
     for asked, files in copies.items():
         if not asked.startswith(("motion.", "clip ", "mjcf ", "controller ")):
-            name = f"file {Path(asked.partition('=')[2] or asked).name}"
-            clip = _harvested_from(files) if asked.startswith("bank ") else {}
-            yield Item(
-                name,
-                words.text(clip.get("licence") or _beside(files)),
-                words.text(clip.get("attribution") or ""),
-                words.text(clip.get("url") or asked),
-            )
+            yield _file(asked, files)
     yield from _weights(made, sources, copies, registry, depth)
+
+
+def _file(asked: str, files: list[Path]) -> Item:
+    clip = _harvested_from(files) if asked.startswith("bank ") else {}
+    return Item(
+        f"file {Path(asked.partition('=')[2] or asked).name}",
+        words.text(clip.get("licence") or _beside(files)),
+        words.text(clip.get("attribution") or ""),
+        words.text(clip.get("url") or asked),
+    )
 
 
 def _copies(made: Made) -> dict[str, list[Path]]:
