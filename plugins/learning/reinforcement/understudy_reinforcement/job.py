@@ -31,7 +31,7 @@ from understudy_reinforcement.resolution import REHEARSAL, Resolution
 from understudy_reinforcement.start import take_over
 from understudy_reinforcement.success import success_of
 
-__all__ = ["Reinforcement"]
+__all__ = ["Reinforcement", "sources_of"]
 
 #: The world that is recorded and drawn.
 _SHOWN = 0

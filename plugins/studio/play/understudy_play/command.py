@@ -131,6 +131,8 @@ class Play(Command):
         if options.pack is not None:
             skill = gathering(skill)
             refuse_of_others(skill)
+            licence = _licence(skill, options.skill)
+            skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options)
         if options.unpack is not None:
             unpack(skill, options.unpack)
@@ -234,7 +236,8 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
         found = judged(rounded(skill, rounding.bits), skill.experiment)
     refuse_of_others(skill, judged=True)
     _say_banks(skill)
-    card = {**skill.card, "weights": rounding.as_json(), "licence": _licence(skill, options.skill)}
+    licence = _licence(skill, options.skill)  # again: now its banks are known
+    card = {**skill.card, "weights": rounding.as_json(), "licence": licence}
     skill = replace(skill, card=card)
     pack(skill, file, found.as_json(skill.samples), rounding.bits)
     print(shown(f"{file}: {describe(open_skill(str(file)).card)}"))
