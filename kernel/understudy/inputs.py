@@ -59,7 +59,7 @@ class Inputs:
                 (folder / name).write_bytes(content)
                 self.kept[asked][name] = hashlib.sha256(content).hexdigest()
         for asked, fill in self._fills.items():
-            fill(top := folder / str(len(self.kept)))
+            fill(top := folder / str(len(self.kept) + 1))
             files = sorted(filter(Path.is_file, top.rglob("*")), key=lambda f: (len(f.parts), f))
             self.kept[asked] = {f.relative_to(folder).as_posix(): _digest(f) for f in files}
         self._read, self._fills, self.folder = {}, {}, folder

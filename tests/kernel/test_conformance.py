@@ -55,6 +55,15 @@ def unsaid_option(x: Tensor, *, limit: float = 1.0) -> Tensor:
     return x
 
 
+def marked_option(
+    x: Tensor,
+    *,
+    limit: float = 1.0,  #: as :class:`Documented` has it
+) -> Tensor:
+    """What is said is for a page of documentation."""
+    return x
+
+
 def undocumented(x: Tensor) -> Tensor: ...
 
 
@@ -71,6 +80,7 @@ def test_check_component() -> None:
         (untyped, "parameter 'x' of encoder 'mine' has no type"),
         (untyped_option, "'limit' of encoder 'mine' has no type"),
         (unsaid_option, "encoder 'mine': no sentence on 'limit'"),
+        (marked_option, "encoder 'mine': no sentence on 'limit'"),
     ],
 )
 def test_check_component_refuses(target: Any, message: str) -> None:

@@ -104,6 +104,7 @@ def test_a_folder_is_read_where_it_is_until_its_copy_is_written(tmp_path: Path) 
         assert copy.parent == tmp_path / "run"
         assert (copy / "run.json").read_text() == "{}"
         assert (copy / "deep" / "a").read_text() == "weights"
+    assert sorted(file.name for file in copy.iterdir()) == ["deep", "run.json"], "and nothing else"
     (copy / "deep" / "a").write_text("others")
     with pytest.raises(RunError, match="is not what the run was made with"):
         again.folder_of("skill", tmp_path / "skill", fill)

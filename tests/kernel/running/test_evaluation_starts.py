@@ -104,7 +104,7 @@ def test_episodes_that_begin_alike_tell_as_much_as_one() -> None:
     low, high = found.as_json(0)["success_rate_95"]
     assert (low, high) == pytest.approx(wilson_interval(1.0, 1))
     assert found.as_json(0)["different_starts"] == 1
-    assert "the 6 episodes began in the same state" in found.sentence()
+    assert "the 6 episodes began in the same state, so they tell of it alone" in found.sentence()
 
 
 def test_starts_beside_that_are_alike_tell_as_much_as_one() -> None:
@@ -121,7 +121,7 @@ def test_different_starts_are_counted() -> None:
     made = Evaluator(load_experiment(words, plugins))
     found = made.run(Steady(Steady.Options(1.0), made.built.context), "test", 6)
     assert found.different_starts == 2
-    assert "6 episodes began in 2 different states" in found.sentence()
+    assert "6 episodes began in 2 different states, so they tell of these alone" in found.sentence()
 
 
 def test_nobody_counts_starts_of_an_evaluation_that_may_give_up() -> None:

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from understudy.command.cli import main
+from understudy.records import checkpoint
 from understudy.setup.plugins import installed
 from understudy_credits.bibtex import entry
 from understudy_credits.terms import Purpose, judge, named
@@ -167,6 +168,29 @@ def test_weights_that_it_began_with_are_followed(tmp_path: Path) -> None:
     assert licences["clip fight"] == "CC BY-NC 4.0"
     old = Made("old", {"sources": {"start": start}})  # recorded before that was kept
     assert {item.what: item.licence for item in items_of(old)}["weights of other"] == "unknown"
+
+
+def test_policies_that_act_inside_are_followed_wherever_they_are_named(tmp_path: Path) -> None:
+    """As stages of a sequence name them; of a pack the terms that it says, though its run is gone."""
+    inputs = {"controller leap.json": {"3/leap.json": "0" * 64, "3/leap.safetensors": "0" * 64}}
+    folder = run(tmp_path, "MIT", inputs=inputs)
+    clip = {"what": "clip leap", "licence": "CC BY-NC 4.0", "attribution": "Leapt by Bea."}
+    card = {"licence": {"items": [{"what": "code understudy", "licence": "Apache-2.0"}, clip]}}
+    (folder / "inputs" / "3").mkdir()
+    checkpoint.save(folder / "inputs" / "3" / "leap", {}, card)
+    found = {item.what: item for item in items_of(open_made(str(folder)))}
+    assert found["weights of leap.json"].licence == "CC BY-NC 4.0"
+    assert found["clip leap"].attribution == "Leapt by Bea."
+
+
+def test_what_is_unknown_says_whom_to_ask(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = run(tmp_path, "MIT", config={"job": {"name": "harvest", "run": "runs/leap"}})
+    assert main(["licence", str(folder)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    (at,) = [i for i, line in enumerate(lines) if line.startswith("?   weights of leap")]
+    assert lines[at + 1].strip() == "ask: understudy licence runs/leap"
 
 
 def test_the_answer_travels(tmp_path: Path) -> None:

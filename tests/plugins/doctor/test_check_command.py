@@ -54,6 +54,18 @@ def test_a_clean_clip(capsys: pytest.CaptureFixture[str]) -> None:
     assert shown.endswith("No findings.\n")
 
 
+def test_a_foot_that_never_touches_the_ground_is_said_to(
+    tmp_path: Path, walks: Clip, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "on_one_leg.npz"
+    always = between(walks, 0, len(walks.times) - 1)
+    NpzWriter().write(turned(walks, "left_hip", (0.0, 1.0, 0.0), -1.5 * always), path)
+    cli.main(["motion", "check", str(path), "--character", "humanoid"])
+    lines = capsys.readouterr().out.splitlines()
+    assert "contact: left_ankle never" in lines
+    assert any(re.fullmatch(r"contact: right_ankle [\d.].* s", line) for line in lines)
+
+
 def test_findings_are_lines(sunk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["motion", "check", str(sunk)]) == 1
     lines = capsys.readouterr().out.splitlines()

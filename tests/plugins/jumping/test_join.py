@@ -22,6 +22,7 @@ from understudy_characters.recording import recorded_clips, recorded_scene
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.join import _figures, joined
 from understudy_motion.editing import evenly_spaced
+from understudy_motion.reading import read_clip
 
 #: Of the jump, four frames: a box 0.6 m high and 0.5 m wide; the mat behind it rises.
 ARENA = {
@@ -86,6 +87,20 @@ def test_the_figure_alone_where_the_file_holds_one_motion(
     file = tmp_path / f"whole.{ending}"
     assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
     assert file.stat().st_size > 1000
+
+
+def test_the_file_says_on_what_terms_both_runs_may_be_used(jump: Path, tmp_path: Path) -> None:
+    run_up = recorded_run(tmp_path / "run_up", "jumping/run_up", 10)
+    info = json.loads((run_up / "run.json").read_text())
+    info["sources"] = {
+        "motion": {"clip": "sprint", "licence": "CC BY 4.0", "attribution": "Sprinted by Ada."}
+    }
+    (run_up / "run.json").write_text(json.dumps(info))
+    file = tmp_path / "whole.npz"
+    assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
+    clip = read_clip(file, installed().registry)
+    assert clip.licence == ("CC BY 4.0 (clip sprint) AND Apache-2.0 (model jumper) AND Apache-2.0")
+    assert clip.attribution.startswith("Sprinted by Ada. Commercial use: nothing stands in the way")
 
 
 def test_they_wait_for_the_jump(run_up: Path, jump: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -52,16 +53,67 @@ def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
     assert about["clip"] == {"clip": "run", "licence": "Apache-2.0 (generated)"}
 
 
-def whole(runs: Path, *words: str) -> Environment:
+@pytest.fixture(scope="module")
+def played(runs: Path) -> Path:
+    """The run folder of both in one episode."""
+    few = ("evaluation.episodes=2", "evaluation.final_episodes=2", "run.video_seconds=0")
+    assert main(["train", *words(runs), *few, f"run.dir={runs / 'whole'}"]) == 0
+    return runs / "whole"
+
+
+def test_a_pack_of_both_is_refused_with_what_to_pass_on(
+    played: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["play", str(played), "--pack", str(tmp_path / "both.json")]) == 2
+    said = capsys.readouterr().err
+    assert "Pass on the run folder, which has a copy of it." in said
+    assert "Override it" not in said
+    assert not any(tmp_path.iterdir())
+
+
+def test_the_licence_of_a_pack_names_the_bank_that_it_was_given(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of which its run has no copy, and whose states are in the pack."""
+    given = f"initial_states={{name: jumping/harvested, file: {runs / 'end'}}}"
+    file = tmp_path / "jump.json"
+    assert main(["play", str(runs / "jump"), given, "--pack", str(file)]) == 0
+    capsys.readouterr()
+    assert main(["licence", str(file), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["items"]
+    (item,) = [item for item in found if item["what"] == "file end"]
+    assert item["licence"] == "Apache-2.0 (generated)"
+
+
+def test_its_licence_names_clip_bank_and_both_policies(
+    played: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["licence", str(played), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["items"]
+    assert {item["what"]: item["licence"] for item in found} == {
+        "code understudy": "Apache-2.0",
+        "clip run": "Apache-2.0 (generated)",
+        "model jumper": "Apache-2.0",
+        "file end": "Apache-2.0 (generated)",
+        "weights of jump": "Apache-2.0",
+        "weights of run_up": "Apache-2.0 (generated) AND Apache-2.0",
+    }
+
+
+def words(runs: Path) -> list[str]:
     reads = (
         "{reference_root_position: approached_position, reference_root_heading: approached_heading}"
     )
     first = f"{{run: {runs / 'run_up'}, until: {{field: arrived, at_least: 1}}, seconds: 5, reads: {reads}}}"
     second = f"{{run: {runs / 'jump'}, until: {{field: landed, at_least: 1}}, seconds: 1.99}}"
-    experiment = load_experiment([
+    return [
         "experiment=jumping/in_one", *CLIP, f"actuation.stages=[{first}, {second}]", "num_worlds=2",
-        f"initial_states.file={runs / 'end'}", "initial_states.begin=1.7", *words,
-    ])  # fmt: skip
+        f"initial_states.file={runs / 'end'}", "initial_states.begin=1.7",
+    ]  # fmt: skip
+
+
+def whole(runs: Path, *more: str) -> Environment:
+    experiment = load_experiment([*words(runs), *more])
     found = build_environment(experiment, evaluating=True).environment
     found.reset(seed=0)
     return found

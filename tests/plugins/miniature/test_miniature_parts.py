@@ -257,7 +257,22 @@ def test_a_hopeless_harvest_stops(built_on: Path) -> None:
         *overrides_of("sleeve_bank", built_on), "job.decisions=1", "job.patience=1", "num_worlds=2"
     )
     with pytest.raises(
-        TrainingError, match=r"No episode of .* ended by job.ending=success in 1 decisions"
+        TrainingError,
+        match=r"No episode of .* ended by job.ending=success in 1 decisions of 2 worlds\. Train",
+    ):
+        training.iterate()
+
+
+def test_a_harvest_that_finds_no_more_says_how_many_it_had(built_on: Path) -> None:
+    training = prepared(
+        *overrides_of("sleeve_bank", built_on), "job.decisions=1", "job.patience=1", "num_worlds=2",
+        "job.count=9",
+    )  # fmt: skip
+    job = training.job
+    assert isinstance(job, Harvest)
+    job._gathered.add({name: job.environment.table[name].clone() for name in job._names})
+    with pytest.raises(
+        TrainingError, match=r"No further episode of .* of 2 worlds, after 2 of 9 states\. Train it"
     ):
         training.iterate()
 

@@ -636,6 +636,12 @@ def test_what_is_not_there_says_where_to_look(
     )
     assert f"{site.address}/02_99.amc is not there" in error
     assert "Look the clip up at http://mocap.cs.cmu.edu" in error
+    for name, page in {
+        "humanoid3d_wlak": "xbpeng/DeepMimic/tree/master/data/motions,",
+        "VC5_sprint_curves_03": "arpspoof/Jump/tree/73b0c3ddf336ad341897d2fb7965c26060b18160/data/motions/beyond,",
+    }.items():  # pages that a browser shows, which raw.githubusercontent.com has none of
+        error = refused(capsys, name, "--from", site.address)
+        assert f"Look the clip up at https://github.com/{page}" in error
     error = refused(capsys, f"{site.address}/walk.bvh")
     assert "Check the address in a browser" in error
     error = refused(capsys, "03_01", "--from", str(tmp_path))

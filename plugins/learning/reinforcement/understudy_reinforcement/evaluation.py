@@ -123,9 +123,12 @@ class Evaluation(Judgement):
         if self.unsound:
             figures.append(f"numbers went wrong in {shown_share(self.unsound)} of the episodes")
         if self.trials < self.episodes:
-            states = "the same state" if self.trials == 1 else f"{self.trials} different states"
+            one = self.trials == 1
+            states, of = (
+                ("the same state", "it") if one else (f"{self.trials} different states", "these")
+            )
             figures.append(
-                f"the {self.episodes} episodes began in {states}, which is what they tell of"
+                f"the {self.episodes} episodes began in {states}, so they tell of {of} alone"
             )
         if self.success_rate is None:
             return "; ".join(figures or ["nothing was measured"]) + "."

@@ -31,7 +31,7 @@ from understudy_reinforcement.resolution import REHEARSAL, Resolution
 from understudy_reinforcement.start import take_over
 from understudy_reinforcement.success import success_of
 
-__all__ = ["Reinforcement"]
+__all__ = ["Reinforcement", "sources_of"]
 
 #: The world that is recorded and drawn.
 _SHOWN = 0
@@ -274,14 +274,8 @@ class Reinforcement(Job):
         return evaluation, Recording(tracks, dt, int(torch.stack(counted).sum()), scene)
 
     def sources(self) -> Mapping[str, Any]:
-        found = {
-            name: section.provenance()
-            for name, section in (self.built.context.sections if self.built else {}).items()
-            if hasattr(section, "provenance")
-        }
-        facts = self.built.scene.describe() if self.built else {}
-        scene = {"scene": facts} if facts else {}
-        return found | scene | ({"start": self._started} if self._started else {})
+        found = sources_of(self.built) if self.built else {}
+        return found | ({"start": self._started} if self._started else {})
 
     def notes(self) -> list[str]:
         shapes = self.environment.observation_shapes
@@ -361,6 +355,14 @@ class Reinforcement(Job):
             self.built.environment.close()
         for evaluator in self._evaluators.values():
             evaluator.close()
+
+
+def sources_of(built: Built) -> dict[str, Any]:
+    """Where what `built` is made of comes from: its sections' data with their licences, and facts of its scene."""
+    sections = built.context.sections.items()
+    found = {name: one.provenance() for name, one in sections if hasattr(one, "provenance")}
+    facts = built.scene.describe()
+    return found | ({"scene": facts} if facts else {})
 
 
 def _naming(options: Any, where: str, names: Set[str]) -> Iterator[tuple[str, Sequence[str]]]:

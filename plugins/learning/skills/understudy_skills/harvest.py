@@ -244,10 +244,12 @@ class Harvest(Gathering):
         new = {name: torch.cat(values) for name, values in seen.items()}
         self._gathered.add(new)
         if self._gathered.barren >= self.options.patience:
+            found = self._gathered.count
             raise TrainingError(
-                f"No episode of {self.options.run} {self._wanted()} in "
-                f"{self._gathered.barren * steps} decisions of {environment.num_worlds} worlds. Train it "
-                "longer, or choose another."
+                f"No {'further ' * bool(found)}episode of {self.options.run} {self._wanted()} in "
+                f"{self._gathered.barren * steps} decisions of {environment.num_worlds} worlds"
+                f"{f', after {found} of {self.options.count} states' * bool(found)}. Train it longer, or "
+                "choose another."
             )
         episodes = environment.statistics.collect()
         return {

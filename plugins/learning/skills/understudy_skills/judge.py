@@ -13,7 +13,7 @@ from understudy.records.runs import Run, newest_state
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement import promised
-from understudy_reinforcement.job import Reinforcement
+from understudy_reinforcement.job import Reinforcement, sources_of
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.folder import run_folder
 
@@ -43,6 +43,7 @@ class Judge(Reinforcement):
         promised.begin(self.evaluator.built.environment)
         if self.options.run is None:
             self.policy = build_policy(self.experiment, self.evaluator.built.context)
+            self._started = sources_of(self.evaluator.built)
             return
         source = runs.open_run(run_folder(self.options.run, registry=self.experiment.registry))
         state = newest_state(str(source.path))

@@ -298,9 +298,16 @@ def refuse_of_others(skill: Skill, *, judged: bool = False) -> None:
         if here and not judged and not _RUN.search(key):
             here = not bank.files(value)[0].is_file()
         if here or any(a.endswith(f" {value}") for a in left):
+            cure = (
+                "Override it, for example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and "
+                "played with that."
+            )
+            if key.startswith(
+                "actuation."
+            ):  # without it the policy does something else, or nothing
+                cure = "Pass on the run folder, which has a copy of it."
             raise ConfigError(
-                f"--pack: {key}={value} is another run's, and a pack has a policy and banks of states alone. Override it, for "
-                "example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and played with that."
+                f"--pack: {key}={value} is another run's, and a pack has a policy and banks of states alone. {cure}"
             )
 
 

@@ -55,7 +55,7 @@ class PersonScene(MujocoScene):
         driven: bool = False
         #: whether links of which none joins the other keep apart (2018 code: they do); cloth between two that do not is torn
         self_collision: bool = False
-        #: whether upper arms stay within a cone (:mod:`understudy_dressing.cone`) in place of swinging freely (section 8:
+        #: whether upper arms stay within a cone in place of swinging freely (section 8:
         #: a classifier, which was not published); elbow and twist keep the 2018 code's ranges
         cone: bool = False
 

@@ -3,7 +3,7 @@
 #: Plugins that this one builds on.
 REQUIRES = (
     "networks", "skills", "tensors", "terms", "curricula", "sequencing", "mujoco", "motion", "characters", "humanoid", "judging", "ppo", "deepmimic", "pose_vae",
-    "report", "reinforcement",
+    "credits", "report", "reinforcement",
 )  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.

@@ -39,7 +39,9 @@ class Approach(InitialStates):
     class Options:
         file: str  #: the bank of the run-up's ends, by its mode, or the folder of the run that has one
         begin: float = 0.5  #: s, time in the clip, as the run-up's own evaluations have it
-        alpha: float = -0.05  #: rad, as :class:`~understudy_jumping.takeoff.Takeoff` has it
+        alpha: float = (
+            -0.05
+        )  #: rad, angle of approach: 0 has the obstacle on its left, π/2 in front
         distance: Distance = field(
             default_factory=Distance
         )  #: m, how far from the obstacle it ends

@@ -131,7 +131,9 @@ class Harvested(InitialStates):
     @dataclass(frozen=True)
     class Options:
         file: str  #: the bank, or the folder of the run that has one
-        alpha: float = -0.05  #: rad, as :class:`~understudy_jumping.takeoff.Takeoff` has it
+        alpha: float = (
+            -0.05
+        )  #: rad, angle of approach: 0 has the obstacle on its left, π/2 in front
         distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
 
         def __post_init__(self) -> None:

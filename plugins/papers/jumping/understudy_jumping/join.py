@@ -27,6 +27,7 @@ from understudy_characters.recording import (
 )
 from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
+from understudy_credits.walk import in_a_line, open_made
 from understudy_motion.arguments import finite
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.writing import Shown, write_figures
@@ -72,11 +73,13 @@ class Join(Command):
         of = [run_character(run_folder(run)) for run in (options.run_up, options.jump)]
         if of[0].joint_names != of[1].joint_names:  # before what takes half a minute of each
             raise FileError(f"{options.run_up} and {options.jump} are not of the same character.")
+        # A skill's licence is its distribution's, of which its recording's folder knows nothing.
+        made = (options.run_up, options.jump)
         options.run_up = run_folder(options.run_up, recorded=True)
         options.jump = run_folder(options.jump, recorded=True)
         first, _ = recorded_clips(options.run_up)
         second, _ = recorded_clips(options.jump)
-        whole = joined(first, second)
+        whole = _on_their_terms(joined(first, second), *made)
         if options.destination.suffix.lower() == ".mp4":
             frames = _frames(whole, Path(options.jump), options.camera)
             write_video(options.destination, frames, RATE)
@@ -87,10 +90,19 @@ class Join(Command):
         print(f"{options.destination}: {whole.duration:.2f} s, taken off at {off:.2f} s")
         angle, height = gap(first, second)
         print(
-            f"The jump begins {100 * height:.1f} cm in height and {angle:.2f} rad, in the joint that "
-            "differs most, from where the run-up ends."
+            f"Where the run-up ends, the root is {100 * height:.1f} cm higher or lower than where the jump "
+            f"begins, and the joint that differs most is off by {angle:.2f} rad."
         )
         return 0
+
+
+def _on_their_terms(clip: Clip, *made: str) -> Clip:
+    """`clip` on the terms of the runs that it is `made` from, with whom they name."""
+    terms = [in_a_line(open_made(run)) for run in made]
+    licence, attribution = (
+        dict.fromkeys(filter(None, texts)) for texts in zip(*terms, strict=True)
+    )
+    return replace(clip, licence=" AND ".join(licence), attribution=" ".join(attribution))
 
 
 def _figures(clip: Clip, jump: str, destination: Path) -> list[Shown]:

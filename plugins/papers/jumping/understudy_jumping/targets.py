@@ -37,7 +37,7 @@ class Targets(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        #: By joint instead of :data:`RANGES`: (least, most) of each axis, no margin added.
+        #: By joint, rad, in place of a person's: (least, most) of each axis, no margin added.
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
         margin: float = 0.5  #: rad, from 0, that targets may lie beyond a joint's range
         #: rad, targets of joints for an action of 0, by joint; 0 where none is given

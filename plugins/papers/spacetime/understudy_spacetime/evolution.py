@@ -74,7 +74,7 @@ class Evolution(InitialStates):
         uniform: float = 0.2  #: share of segments drawn uniformly (eq. 3.9)
         #: factor of the running average of returns from rollout to rollout, in [0, 1]
         decay: float = 0.9
-        #: whose returns count, as in :class:`~understudy_spacetime.importance.Importance`
+        #: whose returns count: of all states in a segment, or of those where episodes begin
         by: By = "visits"
         #: Share of episodes that begin in the reference itself.
         reference_share: float = 0.1

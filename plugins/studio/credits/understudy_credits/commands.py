@@ -117,6 +117,8 @@ class Licence(Command):
             print(_plain(line).rstrip())
             if item.attribution:
                 print(f"    {'':<{width}}  name: {_plain(item.attribution)}")
+            if verdict.allowed is None and item.source.startswith("understudy "):
+                print(f"    {'':<{width}}  ask: {_plain(item.source)}")
         what = {"commercial": "commercial use", "sharing": "passing it on", "research": "research"}
         if in_the_way:
             named = ", ".join(_plain(item.what) for item, _ in in_the_way)

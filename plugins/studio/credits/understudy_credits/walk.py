@@ -101,10 +101,15 @@ def _began_with(info: Mapping[str, Any]) -> Iterator[str]:
         start = mapping(mapping(start.get("sources")).get("start"))
 
 
-def answer(made: Made, registry: Registry | None = None) -> dict[str, Any]:
+def answer(
+    made: Made, registry: Registry | None = None, more: Mapping[str, list[Path]] | None = None
+) -> dict[str, Any]:
     """What travels with what is made from it, as plain data: its items, and by purpose what stands in the
-    way (nothing: an empty list)."""
+    way (nothing: an empty list). `more` are files of which `made` has no copies, by what was asked for."""
     items = items_of(made, registry)
+    items += [
+        item for asked, files in (more or {}).items() if (item := _file(asked, files)) not in items
+    ]
     return {
         "items": [{k: v for k, v in asdict(item).items() if v} for item in items],
         **{
@@ -167,15 +172,18 @@ def _data(made: Made, registry: Registry, depth: int) -> Iterator[Item]:
     yield from _model(made.info, copies, registry)
     for asked, files in copies.items():
         if not asked.startswith(("motion.", "clip ", "mjcf ", "controller ")):
-            name = f"file {Path(asked.partition('=')[2] or asked).name}"
-            clip = _harvested_from(files) if asked.startswith("bank ") else {}
-            yield Item(
-                name,
-                words.text(clip.get("licence") or _beside(files)),
-                words.text(clip.get("attribution") or ""),
-                words.text(clip.get("url") or asked),
-            )
+            yield _file(asked, files)
     yield from _weights(made, sources, copies, registry, depth)
+
+
+def _file(asked: str, files: list[Path]) -> Item:
+    clip = _harvested_from(files) if asked.startswith("bank ") else {}
+    return Item(
+        f"file {Path(asked.partition('=')[2] or asked).name}",
+        words.text(clip.get("licence") or _beside(files)),
+        words.text(clip.get("attribution") or ""),
+        words.text(clip.get("url") or asked),
+    )
 
 
 def _copies(made: Made) -> dict[str, list[Path]]:
@@ -255,6 +263,8 @@ def _weights(
         return
     config, start = mapping(made.info.get("config")), mapping(sources.get("start"))
     asked = {words.text(name) for name in sequence(mapping(config.get("actuation")).get("runs"))}
+    # wherever the configuration names them, as in stages of a sequence
+    asked |= {key.removeprefix("controller ") for key in copies if key.startswith("controller ")}
     if made.shipped:
         yield Item(f"weights of {made.name}", _distribution_licence(made.shipped))
     else:
@@ -272,7 +282,9 @@ def _weights(
                 f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}"
             )
         else:
-            parts = list(_data(inner, registry, depth - 1))
+            known = mapping(inner.info.get("licence")).get("items")  # of a pack
+            whole = items_of(inner, registry) if known else _data(inner, registry, depth - 1)
+            parts = [item for item in whole if not item.what.startswith("code ")]
             joined = dict.fromkeys(item.licence for item in parts)
             yield Item(f"weights of {Path(name).name}", " AND ".join(joined) or "unknown")
             yield from parts
@@ -282,7 +294,8 @@ def _inner(name: str, files: list[Path], registry: Registry) -> Made | None:
     """What the run has a copy of, or the skill that comes with a plugin."""
     from understudy.records import checkpoint
 
-    for file in files:
+    # first its own card: a run of before may have put other files into its folder
+    for file in sorted(files, key=lambda file: file.name != "run.json"):
         try:
             if file.name == "run.json":
                 return Made(name, mapping(json.loads(read(file))), file.parent)

@@ -41,7 +41,8 @@ def text(examined: Examination) -> str:
     """Heading, findings, contacts, what was not checked, and the verdict, each in a line."""
     lines = [heading(examined), *(finding.line() for finding in examined.findings)]
     for joint, spans in contacts(examined).items():
-        lines.append(f"contact: {joint} {', '.join(f'{a:.2f}–{b:.2f}' for a, b in spans)} s")
+        when = ", ".join(f"{a:.2f}–{b:.2f}" for a, b in spans)
+        lines.append(f"contact: {joint} {f'{when} s' if when else 'never'}")
     if examined.gone is not None:
         lines.append(f"let go in the clip's own state: {let_go_words(examined.gone)}")
     lines += [f"not checked: {what}" for what in examined.skipped]

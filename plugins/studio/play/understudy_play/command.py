@@ -24,6 +24,7 @@ from understudy_play.player import Player, World
 from understudy_reinforcement.long_work import LongWork
 from understudy_report.values import mapping, number
 from understudy_report.video import length, video_file, write_video
+from understudy_skills import bank
 from understudy_skills.bank import BankInputs
 from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
@@ -130,7 +131,7 @@ class Play(Command):
         if options.pack is not None:
             skill = gathering(skill)
             refuse_of_others(skill)
-            licence = answer(open_made(options.skill))
+            licence = _licence(skill, options.skill)
             skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options)
         if options.unpack is not None:
@@ -235,10 +236,22 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
         found = judged(rounded(skill, rounding.bits), skill.experiment)
     refuse_of_others(skill, judged=True)
     _say_banks(skill)
-    skill = replace(skill, card={**skill.card, "weights": rounding.as_json()})
+    licence = _licence(skill, options.skill)  # again: now its banks are known
+    card = {**skill.card, "weights": rounding.as_json(), "licence": licence}
+    skill = replace(skill, card=card)
     pack(skill, file, found.as_json(skill.samples), rounding.bits)
     print(shown(f"{file}: {describe(open_skill(str(file)).card)}"))
     return 0
+
+
+def _licence(skill: Skill, source: str) -> dict[str, Any]:
+    """On what terms the pack may be used: what `source` was made of, and banks that overrides gave `skill`."""
+    made, inputs = open_made(source), skill.experiment.inputs
+    banks = {*inputs.banks} - {*inputs.had} if isinstance(inputs, BankInputs) else set()
+    given = {
+        asked: bank.files(asked.removeprefix("bank ")) for asked in sorted(banks - {*inputs.kept})
+    }
+    return answer(made, more=given)
 
 
 def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | None:

@@ -11,6 +11,7 @@ import re
 from understudy.errors import FileError
 
 OFFICIAL = "http://mocap.cs.cmu.edu"
+PAGE = OFFICIAL  #: where people look its clips up
 FOLDER = "cmu"
 SUBJECTS = 144
 LICENCE = "free for research and commercial use, not for resale as data"

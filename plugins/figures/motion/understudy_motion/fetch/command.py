@@ -142,7 +142,7 @@ def wanted(
                 sha256=None if file.endswith(SKELETON) else digest,
                 licence=licence or by.LICENCE,
                 attribution=by.ATTRIBUTION,
-                publisher=by.OFFICIAL,
+                publisher=by.PAGE,
             )
             for by, clip in known
             for file in by.files(clip)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 
 OFFICIAL = "https://raw.githubusercontent.com/xbpeng/DeepMimic/master"
+PAGE = "https://github.com/xbpeng/DeepMimic/tree/master/data/motions"  #: where people look its clips up
 FOLDER = "deepmimic"
 LICENCE = "MIT License, copyright (c) 2018 Xue Bin Peng"
 ATTRIBUTION = (

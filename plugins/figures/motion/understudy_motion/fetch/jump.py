@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 
-OFFICIAL = (
-    "https://raw.githubusercontent.com/arpspoof/Jump/73b0c3ddf336ad341897d2fb7965c26060b18160"
-)
+_COMMIT = "73b0c3ddf336ad341897d2fb7965c26060b18160"
+OFFICIAL = f"https://raw.githubusercontent.com/arpspoof/Jump/{_COMMIT}"
+#: where people look its clips up
+PAGE = f"https://github.com/arpspoof/Jump/tree/{_COMMIT}/data/motions/beyond"
 FOLDER = "jump"
 LICENCE = "MIT License, copyright (c) 2021 arpspoof"
 ATTRIBUTION = (
