@@ -86,7 +86,7 @@ class Archive:
         finite = np.isfinite(array)
         if not finite.all():
             where = f"frame {int(np.argwhere(~finite)[0, 0])}: " if array.ndim else ""
-            raise FileError(f"Clip {self._path}: {where}'{name}' is not finite.")
+            raise FileError(f"Clip {self._path}: {where}'{name}' is not finite; fill it in.")
         return array
 
     def numbers(self, name: str) -> np.ndarray:
