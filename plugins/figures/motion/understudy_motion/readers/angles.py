@@ -109,7 +109,9 @@ class AnglesReader(ClipReader):
         content = read_bytes(path)
         raw = _laid_out(decoded(content).splitlines())
         lines = without_comments(raw)
-        at = next((n for n, line in enumerate(lines) if line), 0)
+        at = next((n for n, line in enumerate(lines) if line), None)
+        if at is None:
+            raise FileError(f"Clip {path}: it has no row of numbers. Export it again.")
         delimiter = _delimiter(lines[at])
         lines = [line.rstrip(delimiter) for line in lines]
         words = _words(lines[at], delimiter)
