@@ -163,6 +163,20 @@ def test_what_is_printed_onto_a_full_disk(tmp_path: Path, words: str, unbuffered
     assert ended.stderr == said
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_what_is_printed_on_a_terminal_that_is_gone(tmp_path: Path, unbuffered: str) -> None:
+    """As by a session that was closed: it was a traceback, in the log of errors."""
+    ours, theirs = os.openpty()
+    os.close(ours)
+    ended = subprocess.run(
+        [sys.executable, "-m", "understudy", "runs", "."], cwd=tmp_path, stdout=theirs, stderr=subprocess.PIPE, text=True,
+        env={**child_environment(), "PYTHONUNBUFFERED": unbuffered},
+    )  # fmt: skip
+    os.close(theirs)
+    said = "understudy: What is printed cannot be written: Input/output error.\n"
+    assert (ended.returncode, ended.stderr) == (2, said)
+
+
 def test_what_is_printed_where_nothing_may_be_written(tmp_path: Path) -> None:
     with Path(os.devnull).open() as readable:
         ended = subprocess.run(

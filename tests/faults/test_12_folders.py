@@ -36,6 +36,13 @@ def test_impossible_folder(plugins: Plugins, tmp_path: Path, where: str) -> None
         make_training(plugins, [*FAKE_TASK, *SMALL], path)
 
 
+def test_a_folder_in_thousands_of_others(plugins: Plugins, tmp_path: Path) -> None:
+    where = f"run.dir={tmp_path}/{'d/' * 1500}"
+    with pytest.raises(RunError, match=r"^The run folder .{200} cannot be made: .*too deep\. Give"):
+        runs.create(load_experiment([*FAKE_TASK, where], plugins), [], {})
+    assert not any(tmp_path.iterdir())
+
+
 def test_folder_that_becomes_unwritable(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
     training.iterate()

@@ -100,8 +100,7 @@ class Payload:
 
 def mutant_of_arrays(content: bytes, rng: random.Random) -> bytes:
     """One array of an NPZ of another type, shape or content, lying about its size, or missing."""
-    with zipfile.ZipFile(io.BytesIO(content)) as file:
-        members = {name: file.read(name) for name in file.namelist()}
+    members = unpacked(content)
     name = rng.choice(list(members))
     array = np.load(io.BytesIO(members[name]), allow_pickle=False)
     match rng.randrange(10):
@@ -144,10 +143,20 @@ def mutant_of_arrays(content: bytes, rng: random.Random) -> bytes:
             members[name] = mutant_of_bytes(members[name], rng)
         case _:
             members[rng.choice(("x", "../x.npy", "poses.npy", "format.npy"))] = members[name]
+    return packed(members, rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)))
+
+
+def unpacked(content: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def packed(members: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> bytes:
+    """An archive without the time of day, of which its mutants would be others each time."""
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as file:
-        for member, data in members.items():
-            file.writestr(member, data)
+    with zipfile.ZipFile(out, "w") as file:
+        for name, data in members.items():
+            file.writestr(zipfile.ZipInfo(name), data, compression)
     return out.getvalue()
 
 
@@ -187,6 +196,8 @@ def read_mutants(format: str, count: int, seed: int) -> dict[str, Any]:
     path = WRITE["amc" if format == "asf" else format](Path.cwd())
     damaged = path.with_name("small.asf") if format == "asf" else path
     original = ASF.encode() if format == "asf" else path.read_bytes()
+    if path.suffix == ".npz":
+        original = packed(unpacked(original))
     reader = known["amc" if format == "asf" else format]
     for reader_name in known:  # everything that is loaded on first use is loaded
         check(known[reader_name].read(WRITE[reader_name](Path.cwd())))
@@ -199,7 +210,8 @@ def read_mutants(format: str, count: int, seed: int) -> dict[str, Any]:
         options = rng.choice((ReadOptions(), ReadOptions(unit="cm", up="y", rate=30.0)))
         began = time.process_time()  # what others do on a busy machine is none of it
         try:
-            head = path.read_bytes()[:HEAD_BYTES]
+            with path.open("rb") as file:
+                head = file.read(HEAD_BYTES)
             for other in known.values():
                 other.recognises(head, path)
             check(reader.read(path, options))

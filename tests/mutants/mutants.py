@@ -726,7 +726,7 @@ MUTANTS = (
            "tests/plugins/play/test_play.py -k words_of"),
     Mutant("a control period has no end", f"{KERNEL}/setup/root.py", '"frequency", least=1e-3', '"frequency", above=0',
            "tests/faults/test_27_sizes.py -k asks"),
-    Mutant("overrides of any depth", COMPOSITION, "    except (HydraException, RecursionError) as error:", "    except HydraException as error:",
+    Mutant("overrides of any depth", COMPOSITION, "    except (HydraException, RecursionError) as why:", "    except HydraException as why:",
            "tests/plugins/play/test_play.py -k words_of"),
     Mutant("a journal's points are anywhere", "plugins/search/sweeps/understudy_sweeps/journal.py", "    if not all(map(math.isfinite, values)):", "    if False:",
            f"{SWEEPS}/test_journal.py -k other_types"),

@@ -33,7 +33,7 @@ from understudy.signals import StopRequest
 
 __all__ = ["main"]
 
-_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF)  #: of a full disk or share
+_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF, errno.EIO)  #: no disk or tty
 #: Errors by which a file cannot be used at all, not even to find out whether it is there.
 _UNUSABLE = (*_UNPRINTED, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP)
 
@@ -63,7 +63,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, OSError) and error.filename and error.errno in _UNUSABLE:
                 error = FileError(f"{error.filename!s:.100} cannot be used: {error.strerror}.")
             if isinstance(error, FileNotFoundError) and tempfile.tempdir is error.filename is None:
-                # No file in particular: no folder was found for temporary files.
                 error = FileError("No folder for temporary files is writable: set TMPDIR to one.")
             if not isinstance(error, UnderstudyError):
                 if (fault := plugins.installed().registry.fault_of(error)) is None:
@@ -94,6 +93,8 @@ def _run(arguments: list[str]) -> int:
             )
         if re.fullmatch(r"\+*run\.dir=\s*", word):
             raise ConfigError(f"{word} names no folder, as of an empty variable. Leave it out.")
+        if any(path.count("/") > 200 for path in re.split(r"[,\s]", word)):  # pathlib recurses
+            raise ConfigError(f"{word:.40} … leads through more than 200 folders. Name another.")
     options, overrides = parser.parse_known_args(arguments)
     _check(overrides, options.overrides_allowed, arguments[0])
     if overrides:

@@ -245,9 +245,9 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
             for folder in ("checkpoints", "faults"):
                 (path / folder).mkdir(exist_ok=True)
             info["inputs"] = experiment.inputs.copy(path / "inputs")
-        except OSError as error:
-            where = f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}."
-            raise RunError(f"{where} Give run.dir another one.") from error
+        except (OSError, RecursionError) as error:  # of too many folders in one another
+            why = f"cannot be made: {getattr(error, 'strerror', 'too deep')}. Give run.dir another one."
+            raise RunError(f"The run folder {root.run.dir or 'runs'!s:.200} {why}") from error
         run.write_json("run.json", info)
         undo.pop_all()
     return run
@@ -282,8 +282,7 @@ def _free_folder(name: str) -> Path:
 
 
 def open_run(path: str | Path) -> Run:
-    """Open an existing run folder; a RunError if there is none, it is damaged, a link leads out of
-    it, or another version of understudy wrote it."""
+    """Open a run folder; a RunError if it is none, damaged, has links out, or is another version's."""
     path = Path(path)
     file = path / "run.json"
     if not os.path.lexists(file):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import dataclasses
 import functools
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +22,7 @@ from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import MARK, compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
-from understudy.setup.root import KEYS
+from understudy.setup.root import KEYS, Root
 from understudy.setup.validation import GROUPS, refuse_code, unknown_key, validate
 
 __all__ = [
@@ -50,14 +51,15 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
 
 #: A list, a mapping or a quotation with something after it: ``[1] walk.bvh``.
 _MORE = r"""(\[[^\[\]]*\]|\{[^{}]*\}|'[^']*'|"[^"]*")[^\s,'"\]}][^,]*|(\[[^\[\]]*\]|\{[^{}]*\})\s[^,:]*"""
+#: A name in a mapping with a sign that Hydra's grammar has for none: ``{läufer: 1}``.
+_NAMED = re.compile(r"[{,][^{}\[\],:]*[^\w\s$%()*+./=?@\\|{}\[\],:-][^{}\[\],:]*:", re.ASCII)
 _LONGEST = 10_000  #: characters of an override
 _LONGEST_KEY = 255  #: bytes, as of a file's name
 _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
 def _check_length(text: str, overrides: int = 1) -> None:
-    """Raise :class:`ConfigError` if `text` is longer than so many `overrides` may be: Hydra's time
-    to read one grows with the square of its length."""
+    """A ConfigError if `text` is longer than so many `overrides` may be, as Hydra takes its square."""
     if len(text) > overrides * _LONGEST:
         raise ConfigError(
             f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are "
@@ -145,8 +147,9 @@ def _check(override: str, plugins: Plugins) -> None:
         read = parsed(override)
         several = read.is_sweep_override()
         chosen = read.value() if equals and not several and not read.is_delete() else None
-    except (HydraException, RecursionError) as error:
-        raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
+    except (HydraException, RecursionError) as why:
+        of = "; names in {} are of a-z, digits and _-./, unquoted" * bool(_NAMED.search(value))
+        raise ConfigError(f"{override:.99} cannot be read. Check brackets and quotes{of}.") from why
     group = read.key_or_group
     if not _is_value(group, plugins) and ("/" in group or "." not in group):  # it names a file
         names = chosen if isinstance(chosen, list) else [chosen]
@@ -177,8 +180,7 @@ _RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
 
 
 def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
-    """Raise :class:`ConfigError` for overrides of a stranger, found in `of`, that would be filled
-    in from this machine (``${oc.env:NAME}``)."""
+    """A ConfigError for a stranger's overrides, found in `of`, that read this machine (``${a:b}``)."""
     for override in overrides:
         if _RESOLVER.search(override):
             raise ConfigError(
@@ -189,11 +191,11 @@ def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
 def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line; with a suggestion if an option was not found."""
     if isinstance(error, RecursionError):
-        words = " ".join(overrides)[:200]
-        return f"{words}: a file of these options builds on itself, or is nested too deep."
+        return f"{' '.join(overrides):.200}: a file builds on itself, or is nested too deep."
     text = next(iter(str(error).replace(MARK, "").strip().splitlines()), "").rstrip()
-    if unset := re.search(r"Missing mandatory value: ([\w.]+)", text):
-        return _not_set(unset[1], overrides, plugins)
+    unset = re.search(r"Missing mandatory value: ([\w.]+)|Interpolation key '([\w.]+)' not", text)
+    if unset and (unset[1] or unset[2] in dict(items(plain(dataclasses.asdict(Root()))))):
+        return _not_set(unset[1] or unset[2], overrides, plugins)
     if missing := re.search(r"Could not find '([^/']+)/([^']*)'", text):
         group, name = missing.groups()
         return f"There is no {group}={name}.{suggestion(name, options(plugins, group))}"
@@ -228,8 +230,7 @@ def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
 
 
 def options(plugins: Plugins, group: str) -> dict[str, Path]:
-    """By name as one types it: the files of options for `group`. Those whose name begins with an
-    underscore are only for other files to build on."""
+    """By name as one types it: the files of options for `group`, less those to build on (``_x``)."""
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
         for _, folder in plugins.folders()
@@ -307,8 +308,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     """The composed configuration as plain data.
 
     A part that an override chooses (``policy=mlp``) has what its file and other overrides set; what
-    the task or experiment sets for its own choice is not mixed in. A ConfigError if Hydra cannot
-    compose it, or if a key names code.
+    the task or experiment sets for its own choice is not mixed in. A ConfigError if it cannot be.
     """
     plugins = plugins or installed()
     overrides = [readable(o) for o in ([overrides] if isinstance(overrides, str) else overrides)]

@@ -349,3 +349,37 @@ def test_a_home_that_no_shell_fills_in_is_no_folder_of_that_name(
     said = f"understudy: A shell leaves ~ behind = as it is: write {word.replace('~', '$HOME')}.\n"
     assert capsys.readouterr().err == said
     assert not any(tmp_path.iterdir())
+
+
+DEEP = "d/" * 1500
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("train", "experiment=miniature/go", f"run.dir={DEEP}"),
+        ("train", "experiment=miniature/go", f"run={{dir: '{DEEP}'}}"),
+        ("sweep", "experiment=miniature/go", "seeds=2", f"run.dir={DEEP}"),
+        ("play", "spacetime/walk", f"--video={DEEP}film.mp4"),
+        ("play", "spacetime/walk", "--video", f"{DEEP}film.mp4"),
+    ],
+    ids=lambda words: f"{words[0]} {words[-1][:9]}",
+)
+def test_thousands_of_folders_in_one_another_are_refused(
+    words: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Making them recursed until Python gave up, in a traceback."""
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "leads through more than 200 folders. Name another." in said
+    assert len(said.splitlines()) == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_lists_of_many_files_are_not_deep(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "experiment=miniature/go", f"nothing=[{'a/b, ' * 300}]"]) == 2
+    assert "folders" not in capsys.readouterr().err

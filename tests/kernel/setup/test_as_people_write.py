@@ -124,6 +124,9 @@ def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
         (["~num_worlds=3"], "~num_worlds leaves nothing out: nothing that was chosen sets num_worlds."),
         (["budget.samples=5", "~budget.samples=7"], "~budget.samples=7 leaves nothing out: budget.samples is 5."),
         (["seed=${abc}"], "${abc} takes the value of a key, and there is none of this name."),
+        (["run.dir=${seed}"], "seed is not set. Give it a value."),
+        (["run.dir=${budget.minutes}"], "budget.minutes is not set. Give it a value."),
+        (["run.dir=${budget.nothing}"], "${budget.nothing} takes the value of a key, and there is none of this name."),
         (["run.dir=a${b"], "run.dir='a${b' cannot be read: what follows ${ is no name of a key, or } is missing."),
         (["run.dir=${}"], "run.dir='${}' cannot be read: what follows ${ is no name of a key, or } is missing."),
         (["learner-gamma=0.9"], "There is no configuration key 'learner-gamma'. Did you mean 'learner'?"),
@@ -132,6 +135,20 @@ def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
 def test_what_hydra_says_is_said_in_our_words(words: list[str], said: str) -> None:
     with pytest.raises(ConfigError, match=f"^{re.escape(said)}"):
         compose_raw(["task=miniature/go", *words])
+
+
+@pytest.mark.parametrize("name", ["läufer", "a#b", "'ab'", '"ab"', "a: {ä", "ok: 1, n°"])
+def test_names_that_no_mapping_can_have_are_said_to_be_it(name: str) -> None:
+    """Only brackets and quotes were, which are right."""
+    ends = "}" * (1 + name.count("{"))
+    with pytest.raises(ConfigError, match=r"names in {} are of a-z, digits and _-\./, unquoted\."):
+        compose_raw(["task=miniature/go", f"reward.terms={{{name}: [1]{ends}"])
+
+
+@pytest.mark.parametrize("value", ["{a: [b}", "{a: 'b}", "{a: ü, b: [}"])
+def test_names_are_not_blamed_for_brackets(value: str) -> None:
+    with pytest.raises(ConfigError, match=r"cannot be read\. Check brackets and quotes\.$"):
+        compose_raw(["task=miniature/go", f"reward.terms={value}"])
 
 
 @pytest.mark.parametrize(

@@ -210,3 +210,12 @@ def test_columns_of_times_and_numbers_are_no_hinges(
     assert clip.frame_rate == pytest.approx(30.0 if place is None else 50.0)
     assert clip.root_position[3].tolist() == pytest.approx([0.06, 0.0, 0.9])
     assert clip.rotations[3, 0].tolist() == pytest.approx([0.8, 0.0, 0.0, 0.6])
+
+
+@pytest.mark.parametrize("text", ["", "\n \n", "# a remark\n; another\n"])
+def test_a_table_of_no_rows(tmp_path: Path, text: str) -> None:
+    """The recognised file may be cut off before it is read."""
+    path = tmp_path / "clip.csv"
+    path.write_text(text)
+    with pytest.raises(FileError, match="it has no row of numbers"):
+        AnglesReader().read(path)

@@ -258,6 +258,10 @@ def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
         (",0\n", ",0,\n"),
         ("0.7,0\n", "0.7,0\n,,,,,,,,,\n,,,,,,,,,\n"),
         ("0.5,0\n", "0.5,0\n# second\n"),
+        ("0.5,0\n", "0.5,0\n; second; of; two; and; no; more; than; these\n"),
+        ("# made", "; made; in no hurry"),
+        ("# rate: 50", "; rate: 50"),
+        ("0.7,0\n", "0.7,0\n;\n"),
         ("0.7,0\n", "0.7,0\n# end\n"),
         ("# made", "\ufeff\ufeff# made"),
     ],
@@ -300,6 +304,33 @@ def test_units_of_columns(tmp_path: Path, changes: dict[str, str], options: dict
 
 
 HEAD, *ROWS = CSV.splitlines()[3:]
+
+
+@pytest.mark.parametrize("parted", [",", ";", " ", "\t"])
+def test_remarks_that_begin_with_a_semicolon(tmp_path: Path, parted: str) -> None:
+    """Their file was of no format that is read, and a row that begins with nothing is none of them."""
+    rows = [row.replace(",", parted) for row in (HEAD, *ROWS)]
+    text = "\n".join(("; by hand; of two", "; rate: 50", rows[0], rows[1], "; the second", rows[2]))
+    clip, expected = read_csv(tmp_path, text), read_csv(tmp_path, CSV)
+    path = tmp_path / "clip.csv"
+    path.write_text(text)
+    assert CsvReader().recognises(path.read_bytes(), path)
+    assert torch.equal(clip.root_position, expected.root_position)
+    assert torch.equal(clip.times, expected.times)
+    short = ";".join(ROWS[1].split(",")[:5])
+    for row in (f";{short}", ";".join(["", *ROWS[1].split(",")[1:]])):
+        with pytest.raises(FileError, match="line 5"):
+            read_csv(
+                tmp_path,
+                "\n".join(
+                    (
+                        "# rate: 50",
+                        *[r.replace(",", ";") for r in (HEAD, ROWS[0])],
+                        ROWS[0].replace(",", ";"),
+                        row,
+                    )
+                ),
+            )
 
 
 def table(*rows: str) -> str:
@@ -473,9 +504,25 @@ def test_columns_in_any_order(tmp_path: Path) -> None:
         ("# rate: 50", "# rate: fast", "the rate 'fast' is no number"),
         ("# rate: 50", "# rate: -1", "the rate '-1' is no number"),
         ("# loop: true", "# loop: maybe", "'# loop:' is true or false, not 'maybe'"),
-        ("root.pz", "root.pw", "column 'root.pz' is missing"),
+        (
+            "root.pz",
+            "root.pw",
+            "column 'root.pz' is missing; .* Rename its columns so, or add them",
+        ),
+        (
+            "0.7,0\n",
+            "nan,0\n",
+            "line 6: 'nan' is not a number; fill it in from the frames around it",
+        ),
+        ("0.7,0\n", ",0\n", "line 6: '' is not a number; fill it in from the frames around it"),
+        (
+            "0,0.5,0\n0.1,0,0.9,1,0,0,0,0,0.7,0\n",
+            "0,N/A,0\n0.1,0,0.9,1,0,0,0,0,,0\n",
+            "line 5: 'N/A' .* remove it",
+        ),
+        ("0.7,0\n", "0.7o,0\n", "line 6: '0.7o' is not a number; correct it"),
         ("root.py", "root.px", "column 'root.px' is there twice"),
-        ("knee.rx", "knee.rw", "column 'knee.rw' is not known"),
+        ("knee.rx", "knee.rw", "column 'knee.rw' is not known.* Rename it so, or remove it"),
         ("knee.rx,", "", "joint 'knee' needs either .* and has ry, rz"),
         ("pelvis.qw", "pelvis.rx", "joint 'pelvis' needs either"),
         ("0.5,0\n", "0.5\n", "line 5: 10 numbers are needed, not 9"),

@@ -50,7 +50,13 @@ def check_size(path: Path, frames: int, joint_names: Sequence[str]) -> None:
         more than :data:`MAX_JOINTS` or :data:`MAX_ROTATIONS`, or a joint's name of more
         than :data:`MAX_NAME` characters.
     """
-    joints = len(joint_names)
+    check_counts(path, frames, len(joint_names))
+    if max(map(len, joint_names), default=0) > MAX_NAME:
+        raise FileError(f"Clip {path}: a joint's name has more than {MAX_NAME} characters.")
+
+
+def check_counts(path: Path, frames: int, joints: int) -> None:
+    """:func:`check_size` of so many `joints`, before they are named."""
     if joints > MAX_JOINTS:
         raise FileError(f"Clip {path}: {joints} joints; at most {MAX_JOINTS} are read.")
     if frames * joints > MAX_ROTATIONS:
@@ -58,8 +64,6 @@ def check_size(path: Path, frames: int, joint_names: Sequence[str]) -> None:
             f"Clip {path}: {frames} frames of {joints} joints are too many; cut it, or take every "
             f"second frame (at most {MAX_ROTATIONS} rotations are read)."
         )
-    if max(map(len, joint_names), default=0) > MAX_NAME:
-        raise FileError(f"Clip {path}: a joint's name has more than {MAX_NAME} characters.")
 
 
 def checked_skeleton(

@@ -141,7 +141,7 @@ def _iterate(
 def _stopped_at(run: Run) -> float:
     try:
         return float(json.loads(read(run.path / _STOPPED))["samples"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return math.inf
 
 

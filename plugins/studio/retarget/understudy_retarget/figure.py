@@ -85,7 +85,7 @@ class Figure:
             elif start in self.points and end in self.points:
                 self.segments[segment] = self.points[end].joint
         #: (3, 3): columns forward, left and up of the zero pose.
-        self.axes = self._body_axes()
+        self.axes = self._body_axes(known=stood is not None)
         #: By side: how a foot is turned from the zero pose, in these axes, to be flat on the floor and point ahead; feet
         #: that are so in the zero pose are left out.
         self.flat: dict[str, Rotation] = {}
@@ -119,6 +119,13 @@ class Figure:
         """(3,) m: from one point to another in the zero pose: forward, left and up."""
         return self.axes.T @ (self.at_rest(end) - self.at_rest(start))
 
+    def above_joint(self, part: str) -> np.ndarray:
+        """(3,) m: from the joint that carries a segment to its point in the zero pose: forward, left and up; 0 if there is
+        none."""
+        if part not in self.points or part not in self.segments:
+            return np.zeros(3)
+        return self.axes.T @ (self.at_rest(part) - self.rest[self.segments[part]])
+
     def length(self, start: str, end: str) -> float:
         """m, in the zero pose."""
         return float(np.linalg.norm(self.at_rest(end) - self.at_rest(start)))
@@ -132,11 +139,20 @@ class Figure:
         path = list(path_up(self.skeleton, last))
         return path[: path.index(chain[0]) + 1] if chain[0] in path else [last]
 
-    def _body_axes(self) -> np.ndarray:
+    def _legs(self) -> np.ndarray:
+        """(3,) m: from the middle of the ankles to the pelvis, in the root's frame; 0 if one of them is missing."""
+        ankles = [f"{side}_ankle" for side in SIDES]
+        if not all(part in self.points for part in ("pelvis", *ankles)):
+            return np.zeros(3)
+        return self.at_rest("pelvis") - np.mean([self.at_rest(part) for part in ankles], axis=0)
+
+    def _body_axes(self, known: bool) -> np.ndarray:
         up = self.stood[:, 2]
         if "pelvis" in self.points and "chest" in self.points:
             trunk = self.at_rest("chest") - self.at_rest("pelvis")
-            if trunk @ up < 0.7 * np.linalg.norm(trunk):  # a zero pose that does not stand
+            legs = self._legs()
+            stands = known and legs @ up > 0.9 * max(float(np.linalg.norm(legs)), 1e-6)  # if bent
+            if not stands and trunk @ up < 0.7 * np.linalg.norm(trunk):  # a zero pose that lies
                 axis = int(np.argmax(np.abs(trunk)))
                 up = np.sign(trunk[axis]) * np.eye(3)[axis]
         left = self.stood[:, 1]

@@ -21,7 +21,9 @@ _NONE = np.zeros(3)
 _SHORTEST = 1e-3
 """m: what is shorter has no direction."""
 _TURNED, _BENT = 0.35, 0.8
-"""rad that shoulders, and a neck, are turned by at least in a zero pose whose chest is."""
+"""rad that shoulders or a spine, and a neck, are turned by at least in a zero pose whose chest is."""
+_TALL = 0.25
+"""Of the trunk's length what a chest's shoulders are above its joint at least for that to say how the chest stands."""
 
 
 class Goals:
@@ -90,14 +92,16 @@ class Goals:
         source, target = self._source, self._target
         theirs, ours = source.between(start, end), target.between(start, end)
         turned = _turn(source, target, segment)
+        if end == "chest":  # straightened, where the zero pose's chest is turned
+            above = target.above_joint("chest")
+            ours = ours - above + _chest_turn(source, target).apply(above)
+        length = float(np.linalg.norm(ours))
         ours = turned.apply(ours)
         body = _quaternion(Rotation.from_matrix(target.axes) * turned.inv())
         world = rotations.multiply(self.turns[segment], body)  # from forward, left, up
         leaning = rotations.inverse_rotate(world, self._at(end) - self._at(start))
         turn = rotations.multiply(world, _quaternion(_shortest_turn(theirs, ours)))
-        return (
-            target.length(start, end) / source.length(start, end) * rotations.rotate(turn, leaning)
-        )
+        return length / source.length(start, end) * rotations.rotate(turn, leaning)
 
     def _limb(self, bone: str) -> None:
         start, end = BONES[bone]
@@ -181,8 +185,10 @@ def _turn(source: Figure, target: Figure, segment: str) -> Rotation:
 
 
 def _chest_turn(source: Figure, target: Figure) -> Rotation:
-    """What makes the target's chest parallel to the source's, if it is turned in the zero pose."""
+    """What makes the target's chest parallel to the source's, if it is turned in the zero pose: by its shoulders; then by
+    its neck, or, where one of the two has no head, by how its shoulders stand above its joint."""
     turn = Rotation.identity()
+    spines = [figure.above_joint("chest") for figure in (source, target)]
     for ends in (("right_shoulder", "left_shoulder"), ("chest", "head")):
         if all(end in figure.points for end in ends for figure in (source, target)):
             theirs, ours = source.between(*ends), turn.apply(target.between(*ends))
@@ -191,6 +197,15 @@ def _chest_turn(source: Figure, target: Figure) -> Rotation:
                 more.magnitude() > (_TURNED if ends[0] != "chest" else _BENT)
             ):
                 turn = more * turn
+    headless = not all("head" in figure.points for figure in (source, target))
+    if headless and all(
+        "pelvis" in figure.points
+        and np.linalg.norm(spine) > _TALL * figure.length("pelvis", "chest")
+        for figure, spine in zip((source, target), spines, strict=True)
+        if "chest" in figure.points
+    ):
+        more = _shortest_turn(turn.apply(spines[1]), spines[0])
+        turn = more * turn if more.magnitude() > _TURNED else turn
     return turn
 
 

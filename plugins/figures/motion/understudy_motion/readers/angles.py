@@ -109,7 +109,9 @@ class AnglesReader(ClipReader):
         content = read_bytes(path)
         raw = _laid_out(decoded(content).splitlines())
         lines = without_comments(raw)
-        at = next((n for n, line in enumerate(lines) if line), 0)
+        at = next((n for n, line in enumerate(lines) if line), None)
+        if at is None:
+            raise FileError(f"Clip {path}: it has no row of numbers. Export it again.")
         delimiter = _delimiter(lines[at])
         lines = [line.rstrip(delimiter) for line in lines]
         words = _words(lines[at], delimiter)
@@ -235,8 +237,9 @@ def _scale(word: str) -> float:
     return scale_of_unit(units[0]) if units else 1.0
 
 
-def _unit(quaternion: np.ndarray) -> bool:
-    return bool(abs(np.linalg.norm(quaternion) - 1.0) < 0.02)
+def _unit(quaternions: np.ndarray) -> bool:
+    """Whether the one (4,), or each of (F, 4), is of length 1."""
+    return bool((np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0) < 0.02).all())
 
 
 def _as_read(rows: np.ndarray, words: Sequence[str]) -> list[int]:
@@ -266,7 +269,7 @@ def _timed(rows: np.ndarray, least: int) -> bool:
 
 def _unit_one_further(rows: np.ndarray) -> bool:
     """Whether the quaternion is one column further on than without times."""
-    return all(map(_unit, rows[:, 4:8])) and not all(map(_unit, rows[:, 3:7]))
+    return _unit(rows[:, 4:8]) and not _unit(rows[:, 3:7])
 
 
 def _rate(path: Path, times: np.ndarray, unsaid: float) -> float:

@@ -12,7 +12,8 @@ from understudy_motion.readers.text import is_number, shown
 from understudy_motion.reading import no_rate
 
 _SAID = re.compile(
-    r'\s*"?(?:#|%|//)\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)', re.IGNORECASE
+    r'\s*"?(?:#|%|//|;)\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)',
+    re.IGNORECASE,
 )
 """A line before a table that says something of it; spreadsheets quote it, or end it with delimiters."""
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import pickletools
+import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +22,10 @@ __all__ = ["Archive"]
 MAX_MEMBERS = 256
 MAX_ARRAY_BYTES = 128 * 2**20
 """All arrays of a clip together, unpacked: ten minutes of 55 joints at 120 frames/s."""
+MAX_DIRECTORY = 2**20
+"""Bytes at the end of a file in which its directory is looked for, where names alone are asked for."""
+TEXT_BYTES = 64
+"""Of memory that any text takes, however short."""
 MAX_LITERALS = 4096
 """Bytes of an array of objects in which a single number is looked for."""
 _NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1", "INT", "LONG", "BINFLOAT", "FLOAT")
@@ -60,7 +66,7 @@ class Archive:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.content = read_bytes(path)
-        if self.content.count(_ENTRY) > MAX_MEMBERS:
+        if not _few(self.content):
             raise FileError(f"Clip {path}: more than {MAX_MEMBERS} arrays.")
         try:
             self._zip = zipfile.ZipFile(io.BytesIO(self.content))
@@ -71,16 +77,16 @@ class Archive:
     @property
     def names(self) -> frozenset[str]:
         """Names of the arrays."""
-        members = self._zip.namelist()
-        return frozenset(m.removesuffix(".npy") for m in members if m.endswith(".npy"))
+        return _names(self._zip)
 
     def floats(self, name: str, *shape: int | None) -> np.ndarray:
         """The finite array `name` of floats or whole numbers as float64; None in `shape` is any size."""
-        array = self._array(name, "fiu", shape).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of signalling NaN, which are refused below
+            array = self._array(name, "fiu", shape).astype(np.float64)
         finite = np.isfinite(array)
         if not finite.all():
             where = f"frame {int(np.argwhere(~finite)[0, 0])}: " if array.ndim else ""
-            raise FileError(f"Clip {self._path}: {where}'{name}' is not finite.")
+            raise FileError(f"Clip {self._path}: {where}'{name}' is not finite; fill it in.")
         return array
 
     def numbers(self, name: str) -> np.ndarray:
@@ -131,7 +137,8 @@ class Archive:
             if member.file_size > self._left:
                 raise ValueError(f"the arrays are larger than {MAX_ARRAY_BYTES // 2**20} MB")
             self._left -= member.file_size
-            with self._zip.open(member) as file:
+            with self._zip.open(member) as file, warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of the parser, about a stranger's header
                 version = np.lib.format.read_magic(file)
                 if version not in ((1, 0), (2, 0)):
                     raise ValueError(f"version {version} is not known")
@@ -152,7 +159,11 @@ class Archive:
                 if shape is not None and not _fits(found, shape):
                     wanted = ", ".join("any" if n is None else str(n) for n in shape)
                     raise ValueError(f"its shape is {found} and should be ({wanted})")
+                if math.prod(found) * _held(dtype) > MAX_ARRAY_BYTES * 2:
+                    raise ValueError(f"its shape {found} is of more than is read")
                 array = np.frombuffer(file.read(size), dtype)
+                if dtype.kind in "US" and not _is_text(array):
+                    raise ValueError("holds what is no text")
             return array.reshape(found, order="F" if fortran_order else "C")
         except (
             Exception
@@ -161,11 +172,40 @@ class Archive:
 
 
 def array_names(path: Path) -> frozenset[str]:
-    """Names of the arrays of an NPZ file; none of a file that is not a sound one."""
+    """Names of the arrays of an NPZ file; none of a file that is not a sound one. Only its end is read."""
     try:
-        return Archive(path).names
-    except FileError:
+        with path.open("rb") as file:
+            file.seek(-min(MAX_DIRECTORY, file.seek(0, os.SEEK_END)), os.SEEK_END)
+            end = file.read(MAX_DIRECTORY)
+        return _names(zipfile.ZipFile(io.BytesIO(end))) if _few(end) else frozenset()
+    except Exception:  # of the system, or whatever zipfile's parsing of damage raises
         return frozenset()
+
+
+def _few(content: bytes) -> bool:
+    """Whether the directory of a zip has no more entries than are read."""
+    return content.count(_ENTRY) <= MAX_MEMBERS
+
+
+def _names(archive: zipfile.ZipFile) -> frozenset[str]:
+    return frozenset(m.removesuffix(".npy") for m in archive.namelist() if m.endswith(".npy"))
+
+
+def _held(dtype: np.dtype) -> int:
+    """Bytes of memory that one item of an array takes once it is used."""
+    if dtype.kind in "US":
+        return max(2 * dtype.itemsize, TEXT_BYTES)
+    return dtype.itemsize if dtype.kind == "b" else 8
+
+
+def _is_text(array: np.ndarray) -> bool:
+    """Whether an array of texts holds characters alone: ASCII of bytes, else no surrogates, and none beyond Unicode."""
+    if not array.size:
+        return True
+    if array.dtype.kind == "S":
+        return bool(array.view(np.uint8).max() < 128)
+    codes = array.view(f"{array.dtype.byteorder}u4")
+    return not bool(((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any())
 
 
 def _literals(pickled: bytes) -> np.ndarray:
@@ -195,7 +235,7 @@ def _literals(pickled: bytes) -> np.ndarray:
 
 def _brief(error: Exception) -> str:
     """The error's text, in which zipfile quotes any amount of the file."""
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else f"{text[:200]}…"
 
 

@@ -21,7 +21,7 @@ import torch
 
 from understudy.errors import FileError
 from understudy_motion.clip import ANGLE, Clip
-from understudy_motion.limits import check_size
+from understudy_motion.limits import check_counts, check_size
 from understudy_motion.origin import provenance
 from understudy_motion.readers.angles import angle_rotations, root_and_angles
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
@@ -60,6 +60,7 @@ class RobotNpzReader(ClipReader):
         whole = "qpos" in archive.names
         if whole:
             qpos = archive.floats("qpos", None, None)
+            check_counts(path, len(qpos), qpos.shape[1] - 6)
             rows = (
                 qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]]
                 if qpos.shape[1] > 6
@@ -69,6 +70,7 @@ class RobotNpzReader(ClipReader):
             places = archive.floats(_named("position", archive.names), None, 3)
             turns = archive.floats(_named("quaternion", archive.names), len(places), 4)
             angles = archive.floats(_named("angles", archive.names), len(places), None)
+            check_counts(path, len(angles), 1 + angles.shape[1])
             rows = np.concatenate((places, turns, angles), axis=1)
         if rows.shape[1] < 8:
             raise FileError(

@@ -255,7 +255,8 @@ def _of_parts(path: Path, archive: Archive, first: bool) -> np.ndarray:
             values = _vectors(path, archive, name or part, sizes, first)
             if part == "pose_body" and values.shape[1] == 3 * _SMPL:
                 joints = _SMPL  # with its hands
-            if values.shape[1] not in (3 * joints, 0):
+            optional = part not in ("root_orient", "pose_body")
+            if values.shape[1] != 3 * joints and (values.shape[1] or not optional):
                 raise FileError(
                     f"Clip {path}: array '{name}': {values.shape[1]} values per frame, and it "
                     f"should have {3 * joints}."

@@ -11,7 +11,7 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``root.py``, ``root.pz`` (m); and for each joint, the root first, ``NAME.qw``, ``.qx``, ``.qy``,
 ``.qz`` or its rotation vector ``NAME.rx``, ``.ry``, ``.rz`` (rad). Lines before it that begin with
 ``#`` may say ``# rate: 60`` (frames/s, instead of ``time``), ``# loop: true`` and
-``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons, tabs, bars or blanks may
+``# licence: TEXT``; others are remarks, as anywhere in it, and so are those of ``%``, ``//`` and ``;``. It has no skeleton. Semicolons, tabs, bars or blanks may
 stand between the columns, decimal commas in numbers; columns without a name, and those of row numbers, are left out.
 A column's name, or a row of units below the names, may say another unit, ``root.px [cm]``, ``knee.rx [deg]``,
 ``time [ms]``; times a second or more apart need that. Times begin at the first frame's, and may be dates and times of ISO 8601, a clock's, or counts of
@@ -66,6 +66,8 @@ UNREAD = re.compile(
 """Columns of row numbers, and empty ones, as spreadsheets and pandas write them."""
 DELIMITERS = ",;\t|"
 REMARKS = ("#", "%", "//")
+_FEWEST = 6
+"""Columns of a table: the root's position and its rotation vector."""
 
 
 class NpzReader(ClipReader):
@@ -141,7 +143,7 @@ class CsvReader(ClipReader):
         body = [_row(line, len(columns), delimiter) for line in body]
         names = _with_units(names, body, delimiter)
         columns, body = _plain(path, columns, body, delimiter)
-        if "time" not in columns and (gap := _gap(lines[start + 1 :], body)) is not None:
+        if "time" not in columns and (gap := _gap(lines[start + 1 :], body, delimiter)) is not None:
             raise FileError(
                 f"Clip {path}: line {start + 2 + gap}: a frame without numbers, and no column 'time' says how long "
                 "it takes; fill it in, or add the times."
@@ -188,10 +190,20 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
         elif (
             line.strip()
             and not line.lower().lstrip('"').startswith("sep=")
-            and (not line.lstrip(' "').startswith(REMARKS) or ROOT_POSITION[0] in line)
+            and (not _is_remark(line, ";", _FEWEST) or ROOT_POSITION[0] in line)
         ):
             return said, index
     return said, len(lines)
+
+
+def _is_remark(line: str, delimiter: str, columns: int) -> bool:
+    """Whether a `line` is a remark in a table of so many `columns`. A semicolon begins one where it does not part
+    columns, and where it does if words follow that are too few for a row, whose first cell may be empty."""
+    plain = line.lstrip(' "')
+    if not plain.startswith(";"):
+        return plain.startswith(REMARKS)
+    few = plain.count(";") < columns - 1 and re.search(r"[^\W\d_]{2}", plain)
+    return delimiter != ";" or bool(few)
 
 
 def _parted(lines: Sequence[str]) -> tuple[str, Sequence[str], str]:
@@ -222,12 +234,18 @@ def _with_units(names: Sequence[str], body: list[str], delimiter: str) -> list[s
     ]
 
 
-def _gap(raw: Sequence[str], body: Sequence[str]) -> int | None:
+def _gap(raw: Sequence[str], body: Sequence[str], delimiter: str) -> int | None:
     """The first row that has delimiters and no cells, between others that have some."""
     full = [i for i, line in enumerate(body) if line.strip()]
     between = range(full[0], full[-1]) if full else ()
     return next(
-        (i for i in between if not body[i].strip() and raw[i].strip(' "')[:1] in tuple(DELIMITERS)),
+        (
+            i
+            for i in between
+            if not body[i].strip()
+            and raw[i].strip(' "')[:1] in tuple(DELIMITERS)
+            and not _is_remark(raw[i], delimiter, _FEWEST)
+        ),
         None,
     )
 
@@ -273,7 +291,7 @@ def _raw(header: str, delimiter: str) -> list[str]:
 def _row(line: str, count: int, delimiter: str) -> str:
     """`line` of a table of `count` columns, empty where it is a comment or delimiters alone, and without one at its
     end that no column's name has."""
-    if line.lstrip().startswith(REMARKS) or not line.strip(f"{delimiter} "):
+    if _is_remark(line, delimiter, count) or not line.strip(f"{delimiter} "):
         return ""
     more = line.count(delimiter) == count and line.rstrip(" ").endswith(delimiter)
     return line.rstrip(" ")[:-1] if more else line
@@ -303,10 +321,15 @@ def _joint_columns(path: Path, columns: Sequence[str]) -> dict[str, list[int]]:
     index = {name: column for column, name in enumerate(columns)}
     if len(index) != len(columns):
         twice = next(name for name in columns if columns.count(name) > 1)
-        raise FileError(f"Clip {path}: column {shown(twice)} is there twice.")
+        raise FileError(
+            f"Clip {path}: column {shown(twice)} is there twice. Remove one, or rename it."
+        )
     for name in ROOT_POSITION:
         if name not in index:
-            raise FileError(f"Clip {path}: column '{name}' is missing.")
+            raise FileError(
+                f"Clip {path}: column '{name}' is missing; the root's position is in {', '.join(ROOT_POSITION)}, in m. "
+                "Rename its columns so, or add them."
+            )
     parts: dict[str, set[str]] = {}
     for name in columns:
         joint, _, part = name.rpartition(".")
@@ -315,7 +338,7 @@ def _joint_columns(path: Path, columns: Sequence[str]) -> dict[str, list[int]]:
         elif name != "time" and name not in ROOT_POSITION:
             raise FileError(
                 f"Clip {path}: column {shown(name)} is not known; a joint's are NAME.qw, .qx, .qy, .qz "
-                "or NAME.rx, .ry, .rz."
+                "or NAME.rx, .ry, .rz. Rename it so, or remove it."
             )
     joints: dict[str, list[int]] = {}
     for joint, found in parts.items():
@@ -323,7 +346,7 @@ def _joint_columns(path: Path, columns: Sequence[str]) -> dict[str, list[int]]:
         if whole is None:
             raise FileError(
                 f"Clip {path}: joint {shown(joint)} needs either {', '.join(QUATERNION)} or "
-                f"{', '.join(VECTOR)}, and has {', '.join(sorted(found))}."
+                f"{', '.join(VECTOR)}, and has {', '.join(sorted(found))}. Add what it lacks, or remove its columns."
             )
         joints[joint] = [index[f"{joint}.{part}"] for part in whole]
     if not joints:

@@ -14,6 +14,26 @@ from understudy.errors import FileError
 LARGEST = 1e12
 """Beyond it a number in a motion file is taken for damage: no angle, length or time is so large."""
 
+GAPS = frozenset(
+    (
+        "",
+        "-",
+        "?",
+        "nan",
+        "-nan",
+        "+nan",
+        "inf",
+        "-inf",
+        "+inf",
+        "na",
+        "n/a",
+        "#n/a",
+        "null",
+        "none",
+    )
+)
+"""What stands in a table where a number was not measured, in small letters."""
+
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -96,9 +116,24 @@ def number_rows(
             continue
         if len(words) != columns:
             raise FileError(
-                f"Clip {path}: line {number}: {columns} numbers are needed, not {len(words)}."
+                f"Clip {path}: line {number}: {columns} numbers are needed, not {len(words)}; correct it."
             )
-        for word in words:
+        for at, word in enumerate(words):
             if not is_number(word):
-                raise FileError(f"Clip {path}: line {number}: {shown(word)} is not a number.")
+                mend = _mended(lines, at, delimiter) if _is_gap(word) else "correct it"
+                raise FileError(
+                    f"Clip {path}: line {number}: {shown(word)} is not a number; {mend}."
+                )
     raise FileError(f"Clip {path}: from line {first} on, its numbers cannot be read.")
+
+
+def _is_gap(word: str) -> bool:
+    return word.strip(' "').lower() in GAPS
+
+
+def _mended(lines: Sequence[str], column: int, delimiter: str | None) -> str:
+    """What to do about a gap in a `column` of a table."""
+    rows = (line.split(delimiter) for line in lines if line.strip())
+    if all(_is_gap(cells[column]) for cells in rows if len(cells) > column):
+        return "its column has none: fill it in, or remove it"
+    return "fill it in from the frames around it"
