@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -149,7 +148,7 @@ def _list() -> None:
         try:
             card = read_card(name)
         except UnderstudyError as error:
-            print(shown(f"understudy: {name} is left out: {error}"), file=sys.stderr)
+            tell(f"understudy: {name} is left out: {error}")
             continue
         clip = clip_of(card)
         needs = f"; needs the clip {clip}" if clip else ""
