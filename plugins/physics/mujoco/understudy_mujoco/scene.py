@@ -132,6 +132,7 @@ class MjcfFile(MujocoScene):
         own, root = split_root(options.file)
 
         def keep(folder: Path) -> None:
+            folder.mkdir(parents=True, exist_ok=True)
             self._mjcf.write(folder / own.name)
             for name in LICENCES:
                 if (found := own.parent / name).is_file() and not found.is_symlink():
