@@ -32,8 +32,8 @@ from understudy.setup import plugins
 from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
-from understudy_motion.fetch import cmu, command, download, jump
-from understudy_motion.fetch import deepmimic as published
+from understudy_motion.fetch import cmu, command, download
+from understudy_motion.fetch.repositories import DEEPMIMIC, JUMP, Repository
 from understudy_motion.limits import read_bytes
 from understudy_motion.origin import provenance, read_record, record_path
 from understudy_motion.readers import deepmimic
@@ -216,33 +216,24 @@ def test_names_of_the_database(text: str, clips: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "clips"),
+    ("repository", "text", "clips"),
     [
-        ("humanoid3d_dance_a", ["humanoid3d_dance_a"]),
-        ("deepmimic/humanoid3d_walk", ["humanoid3d_walk"]),
-        ("humanoid3d_", []),
-        ("humanoid3d_../walk", []),
-        ("humanoid3d_walk.txt", []),
-        ("02_01", []),
+        (DEEPMIMIC, "humanoid3d_dance_a", ["humanoid3d_dance_a"]),
+        (DEEPMIMIC, "deepmimic/humanoid3d_walk", ["humanoid3d_walk"]),
+        (DEEPMIMIC, "humanoid3d_", []),
+        (DEEPMIMIC, "humanoid3d_../walk", []),
+        (DEEPMIMIC, "humanoid3d_walk.txt", []),
+        (DEEPMIMIC, "02_01", []),
+        (JUMP, "VC5_sprint__curves_03", ["VC5_sprint__curves_03"]),
+        (JUMP, "jump/VC5_Run_jumpToBox_01", ["VC5_Run_jumpToBox_01"]),
+        (JUMP, "VC5_", []),
+        (JUMP, "VC5_../walk", []),
+        (JUMP, "VC5_sprint__curves_03.txt", []),
+        (JUMP, "humanoid3d_walk", []),
     ],
 )
-def test_names_of_deepmimics_clips(text: str, clips: list[str]) -> None:
-    assert published.clips(text) == clips
-
-
-@pytest.mark.parametrize(
-    ("text", "clips"),
-    [
-        ("VC5_sprint__curves_03", ["VC5_sprint__curves_03"]),
-        ("jump/VC5_Run_jumpToBox_01", ["VC5_Run_jumpToBox_01"]),
-        ("VC5_", []),
-        ("VC5_../walk", []),
-        ("VC5_sprint__curves_03.txt", []),
-        ("humanoid3d_walk", []),
-    ],
-)
-def test_names_of_the_jumping_papers_clips(text: str, clips: list[str]) -> None:
-    assert jump.clips(text) == clips
+def test_names_of_repositories_clips(repository: Repository, text: str, clips: list[str]) -> None:
+    assert repository.clips(text) == clips
 
 
 @pytest.mark.parametrize("text", ["02_05..02_01", "02_01..03_01", "00_01", "145_01"])

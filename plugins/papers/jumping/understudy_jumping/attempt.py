@@ -99,21 +99,12 @@ class Attempt(Memory):
         return {**flags, **passes, "body_ends": ends}
 
     def advance(
-        self,
-        kept: Mapping[str, Tensor],
-        geom_xpos: Tensor,
-        geom_xmat: Tensor,
-        obstacle_height: Tensor,
-        obstacle_width: Tensor,
-        mat_height: Tensor,
-        stage: Tensor | None = None,
+        self, kept: Mapping[str, Tensor], *, stage: Tensor | None = None, **fields: Tensor
     ) -> dict[str, Tensor]:
-        found = self._so_far(
-            kept, geom_xpos, geom_xmat, obstacle_height, obstacle_width, mat_height
-        )
+        found = self._so_far(kept, **fields)
         if stage is None:
             return found
-        begun = self.begin(geom_xpos, geom_xmat, mat_height=mat_height)
+        begun = self.begin(**fields)
         early = stage < self._options.stage
         return {
             name: torch.where(rows(early, value), begun[name], value)

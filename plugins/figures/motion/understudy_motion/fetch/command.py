@@ -29,13 +29,14 @@ from understudy.errors import ConfigError, FileError, RunError
 from understudy.folders import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
-from understudy_motion.fetch import cmu, deepmimic, download, jump
+from understudy_motion.fetch import cmu, download
+from understudy_motion.fetch.repositories import DEEPMIMIC, JUMP
 from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.limits import read_bytes
 from understudy_motion.origin import RECORD_SUFFIX, read_record, record_path
 from understudy_motion.reading import ReadOptions, UnknownFormatError, reader_of
 
-PUBLISHERS = (cmu, deepmimic, jump)
+PUBLISHERS = (cmu, DEEPMIMIC, JUMP)
 """Who publishes clips that are known by name."""
 SUMS = "SHA256SUMS"
 MAX_SUMS_BYTES = 2**24
