@@ -62,6 +62,7 @@ GIVEN = {
     "miniature/in_sequence": (
         f"actuation.stages=[{_STAGE.format(run='sleeve', name='first')},{_STAGE.format(run='second', name='second')}]",
     ),
+    "jumping/from_run_up_gpu": ("initial_states.file=RUNS/run_ups_ends",),
     "jumping/in_one": (
         "initial_states.file=RUNS/run_up_end",
         f"actuation.stages=[{_RUN_UP}, {_JUMP}]",

@@ -28,6 +28,7 @@ NEED = {
     "experiment=dressing/shirt_tuck_second_led": "initial_states.file",
     "experiment=dressing/shirt_sleeve_second_led": "initial_states.file",
     "experiment=dressing/shirt_tuck_led": "initial_states.file",
+    "experiment=jumping/from_run_up_gpu": "initial_states.file",
     "experiment=jumping/in_one": "actuation.stages",
     "experiment=miniature/dressing": "initial_states.file",
     "experiment=miniature/in_sequence": "actuation.stages",

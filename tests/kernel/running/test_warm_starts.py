@@ -105,6 +105,15 @@ class Keeping(Push):
         return {"number": action[:, 0]}
 
 
+class Integrating(Keeping):
+    """Goes on from the number that it keeps."""
+
+    reads = ("number",)
+
+    def control(self, action: Tensor, number: Tensor) -> Tensor:
+        return action + number.unsqueeze(1)
+
+
 class Twice(Encoder):
     """Twice the position of another name, (N, 1)."""
 
@@ -121,7 +130,7 @@ class Twice(Encoder):
 PARTS = {
     "initial_states": {"my/learned": Learned},
     "curriculum": {"my/steps": Steps},
-    "actuation": {"my/scaled": Scaled, "my/keeping": Keeping},
+    "actuation": {"my/scaled": Scaled, "my/keeping": Keeping, "my/integrating": Integrating},
     "encoder": {"my/twice": Twice},
 }
 TASK = (
@@ -300,12 +309,17 @@ def test_the_field_it_reads_may_be_renamed_in_its_run(tmp_path: Path) -> None:
     assert seen["state"].tolist() == [[2.0], [4.0], [6.0]]
 
 
-def test_a_controller_whose_actuation_keeps_something_is_refused(tmp_path: Path) -> None:
-    run = trained(tmp_path / "first", "actuation={name: my/keeping}")
-    with pytest.raises(
-        ConfigError, match=r"cannot be a controller .* its actuation keeps a state\."
-    ):
+def test_a_controller_whose_actuation_goes_on_from_its_own_state_is_refused(tmp_path: Path) -> None:
+    run = trained(tmp_path / "first", "actuation={name: my/integrating}")
+    with pytest.raises(ConfigError, match=r"cannot be a controller .* a state of its own, number"):
         Controller.load(str(run), context())
+
+
+def test_what_an_actuation_keeps_for_rewards_alone_is_not_needed_to_act(tmp_path: Path) -> None:
+    controller = Controller.load(
+        str(trained(tmp_path / "first", "actuation={name: my/keeping}")), context()
+    )
+    assert torch.isfinite(controller({name: torch.zeros(3, 1) for name in controller.reads})).all()
 
 
 def test_a_controller_whose_checkpoint_does_not_fit(tmp_path: Path) -> None:

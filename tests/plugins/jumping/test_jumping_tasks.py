@@ -325,8 +325,20 @@ def test_a_jump_begins_where_a_run_up_ended(plugins: Plugins, tmp_path: Path) ->
     np.testing.assert_allclose(
         there.table["takeoff_features"], straight.table["takeoff_features"], atol=0.15
     )
-    there.close()
-    straight.close()
+    given = given.replace("}", ", spread: 0.2}")
+    spread = environment(
+        plugins,
+        "task=jumping/high",
+        "initial_states=null",
+        f"+{given}",
+        "num_worlds=64",
+        evaluating=False,
+    )
+    away = spread.table["qpos"][:, 0] - there.table["qpos"][0, 0]
+    assert -0.2 <= float(away.min()) < -0.15
+    assert 0.15 < float(away.max()) <= 0.2
+    for each in (there, straight, spread):
+        each.close()
 
 
 def test_a_bank_of_another_figure_is_refused(plugins: Plugins, tmp_path: Path) -> None:

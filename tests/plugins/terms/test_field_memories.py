@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
 from understudy.task import Context, Memory
-from understudy_terms.memories import Extremes, History, Latch, RedrawnTarget, RunningMean, Timer
+from understudy_terms.memories import (
+    Extremes,
+    History,
+    Latch,
+    RedrawnTarget,
+    Roughness,
+    RunningMean,
+    Timer,
+)
 
 DT = 0.1
 
@@ -110,3 +120,29 @@ def test_extremes_are_those_of_the_episode_so_far(values: list[float]) -> None:
     for k, kept in enumerate(found):
         assert float(kept["least"]) == min(values[: k + 1])
         assert float(kept["most"]) == max(values[: k + 1])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 4), st.floats(-5, 5, width=32), st.integers(2, 9))
+def test_roughness_is_the_mean_size_of_the_derivative(order: int, size: float, length: int) -> None:
+    """Of a course s t^k / k! along (0.6, 0.8, 0), beside a point at rest, the k-th derivative is s and 0, and lower ones
+    that the course has as well do not count."""
+    memory = Roughness(Roughness.Options(shape=(2, 3), order=order), context(1))
+    times = DT * torch.arange(length, dtype=torch.float64)
+    way = size * times**order / math.factorial(order) + 3.0 * times ** (order - 1)
+    along = torch.tensor([[0.6, 0.8, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    steps = [
+        {"value": (w * along)[None], "episode_step": torch.tensor([i])} for i, w in enumerate(way)
+    ]
+    for i, kept in enumerate(carried(memory, steps)):
+        expected = abs(size) / 2 if i >= order else 0.0
+        assert abs(float(kept["roughness"]) - expected) < 1e-6 * DT**-order
+
+
+def test_roughness_is_of_a_whole_episode() -> None:
+    memory = Roughness(Roughness.Options(shape=(1,), order=1), context(2))
+    values = torch.tensor([[0.0, 0.0], [0.1, 0.0], [0.1, 0.3], [0.4, 0.3]])
+    steps = [
+        {"value": v[:, None], "episode_step": torch.full((2,), i)} for i, v in enumerate(values)
+    ]
+    torch.testing.assert_close(carried(memory, steps)[-1]["roughness"], torch.tensor([4 / 3, 1.0]))

@@ -11,7 +11,7 @@ from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_terms.terms import OutOfBounds, beyond, reached, steady, value, value_where
+from understudy_terms.terms import OutOfBounds, beyond, reached, small, steady, value, value_where
 
 VECTOR = torch.tensor([[1.0, 2.0], [3.0, 0.5]])
 NUMBER = torch.tensor([1.0, 3.0])
@@ -41,6 +41,12 @@ def test_steady_is_one_where_nothing_changes_and_falls_with_the_mean_square() ->
 def test_steady_takes_a_field_however_it_lies_in_memory() -> None:
     field = torch.arange(12.0).view(3, 2, 2).permute(1, 0, 2)
     assert steady(field, field, scale=3.0).tolist() == [1.0, 1.0]
+
+
+def test_small_is_one_at_zero_and_falls_with_the_size() -> None:
+    assert small(torch.tensor([0.0, -2.0]), scale=0.5).tolist() == pytest.approx([1, math.exp(-1)])
+    found = small(torch.tensor([[3.0, 4.0], [0.0, 1.0]]), scale=0.1)
+    assert found.tolist() == pytest.approx([math.exp(-0.5), math.exp(-0.1)])
 
 
 def test_thresholds() -> None:

@@ -18,6 +18,9 @@ PARTS = {
     "initial_states": {
         "characters/reference_states": ("initial_states:ReferenceStates", "any time of the clip"),
     },
+    "memory": {
+        "characters/footing": ("footing:Footing", "how far feet slid on the floor and sank in"),
+    },
     "termination": {
         "characters/fall": ("parts:Fall", "trunk or head touch the floor where the clip's do not"),
         "characters/floor_contact": ("parts:FloorContact", "trunk or head touch the floor"),

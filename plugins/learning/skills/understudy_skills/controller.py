@@ -119,9 +119,11 @@ class Controller(nn.Module):
 
         encoders = {c.name: wired(c) for c in experiment.many("encoder")}
         actuation = wired(experiment.need("actuation"))
-        if actuation.part.keeps:
+        # what it keeps for others alone, such as rewards, is not needed to act
+        if own_state := sorted(actuation.part.keeps.keys() & set(actuation.part.reads)):
             raise ConfigError(
-                f"{source} cannot be a controller inside another task: its actuation keeps a state."
+                f"{source} cannot be a controller inside another task: its actuation goes on from a state of its own, "
+                f"{own_state[0]}."
             )
         own.action_space = actuation.part.action_space
         own.observation_shapes = {name: e.part.shape for name, e in encoders.items()}

@@ -12,6 +12,7 @@ PARTS = {
     "reward": {
         "value": ("terms:value", "a field itself"),
         "steady": ("terms:steady", "a field changes little in a decision"),
+        "small": ("terms:small", "a field is small"),
     },
     "termination": {
         "reached": ("terms:reached", "a field is small enough"),
@@ -25,6 +26,7 @@ PARTS = {
         "timer": ("memories:Timer", "how long a condition has held"),
         "latch": ("memories:Latch", "a field as it was when a condition first held"),
         "running_mean": ("memories:RunningMean", "a field's mean over the episode"),
+        "roughness": ("memories:Roughness", "how rough a field's course was, such as its jerk"),
         "extremes": ("memories:Extremes", "the least and the most that a field was"),
         "redrawn_target": ("memories:RedrawnTarget", "a random point in a box"),
         "history": ("memories:History", "a field's last values"),

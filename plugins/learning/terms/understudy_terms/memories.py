@@ -5,6 +5,7 @@ Several of a kind in one task need different names: ``provides: {timer: seconds_
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -81,6 +82,57 @@ class RunningMean(Memory):
     ) -> dict[str, Tensor]:
         share = rows(1.0 / episode_step.clamp(min=1), value)
         return {"mean": kept["mean"] + (value - kept["mean"]) * share}
+
+
+class Roughness(Memory):
+    """How rough a movement was: the mean size of the `order`-th derivative of ``value`` over the episode's control periods so far, in
+    its unit per s^`order`, by differences; 0 before there is any.
+
+    Sizes are along the last axis, so that ``xpos`` (bodies, 3) m gives the mean jerk of all bodies, m/s³.
+    """
+
+    reads = ("value", "episode_step")
+
+    @dataclass(frozen=True)
+    class Options:
+        shape: tuple[
+            int, ...
+        ]  #: shape of the value, without N: [15, 3] for the positions of 15 bodies
+        order: int = 3  #: of the derivative, from 1 to 4: 1 velocity, 2 acceleration, 3 jerk
+
+        def __post_init__(self) -> None:
+            check_shape(self)
+            check_range(self, "order", least=1, most=4)
+            if not self.shape:
+                raise ValueError("shape=[] is not possible: give the value's, such as [3].")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._order, self._scale = options.order, context.control_dt**-options.order
+        #: of the newest value, then of those before
+        self._weights = [(-1) ** k * math.comb(options.order, k) for k in range(options.order + 1)]
+        self.keeps: Mapping[str, Shape] = {
+            "roughness": (),
+            "values_before": (options.order, *options.shape),
+        }
+
+    def begin(self, value: Tensor, episode_step: Tensor) -> dict[str, Tensor]:
+        nothing = torch.zeros_like(episode_step, dtype=torch.float32)
+        return {"roughness": nothing, "values_before": torch.stack([value] * self._order, dim=1)}
+
+    def advance(
+        self, kept: Mapping[str, Tensor], value: Tensor, episode_step: Tensor
+    ) -> dict[str, Tensor]:
+        before, mean = kept["values_before"], kept["roughness"]
+        change = value + sum(w * before[:, k] for k, w in enumerate(self._weights[1:]))
+        size = self._scale * torch.linalg.vector_norm(change, dim=-1)
+        count = (
+            episode_step - self._order + 1
+        )  # of differences that do not reach back before the episode
+        now = mean + (size.reshape(len(value), -1).mean(dim=1) - mean) / count.clamp(min=1)
+        return {
+            "roughness": torch.where(count > 0, now, mean),
+            "values_before": torch.cat([value.unsqueeze(1), before[:, :-1]], dim=1),
+        }
 
 
 class Extremes(Memory):

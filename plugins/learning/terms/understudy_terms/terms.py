@@ -55,6 +55,16 @@ def steady(
     return torch.exp(-scale * (value - before).square().reshape(len(value), -1).mean(dim=1))
 
 
+@limits(scale=(0, 1e6))
+def small(
+    value: Tensor,
+    *,
+    scale: float,  #: factor of the field's size, per its unit
+) -> Tensor:
+    """exp(-scale ‖value‖), (N,): 1 where the field is 0."""
+    return torch.exp(-scale * torch.linalg.vector_norm(value.reshape(len(value), -1), dim=1))
+
+
 @limits(within=(-1e9, 1e9))
 def reached(
     value: Tensor,

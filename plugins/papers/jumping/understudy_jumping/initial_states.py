@@ -135,14 +135,18 @@ class Harvested(InitialStates):
             -0.05
         )  #: rad, angle of approach: 0 has the obstacle on its left, π/2 in front
         distance: Distance = field(default_factory=Distance)  #: m, how far from the obstacle
+        #: m, drawn evenly, by which it begins nearer or farther at most: run-ups end so in other places than their bank has
+        spread: float = 0.0
 
         def __post_init__(self) -> None:
             check_range(self, "alpha", least=-100, most=100)
+            check_range(self, "spread", least=0, most=_FARTHEST)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/harvested'"
         scene, device = context.need_scene(CharacterScene, who), context.device
         self._arena, self._distance = arena_of(context, who), options.distance
+        self._spread = options.spread
         states = athletes_states(options.file, context, scene)
         qpos, qvel = states["qpos"].to(device), states["qvel"].to(device)
         self._at, dof = scene.layout.root_address, scene.layout.root_dof
@@ -166,6 +170,8 @@ class Harvested(InitialStates):
         qpos = self._qpos[row]
         alpha = self._features[row, -1]
         qpos[:, self._at] = -self._distance.at(self._arena.rho(difficulty), alpha)
+        if self._spread:
+            qpos[:, self._at] += self._spread * (2.0 * streams.uniform(1).squeeze(1) - 1.0)
         return {
             "qpos": qpos,
             "qvel": self._qvel[row],
