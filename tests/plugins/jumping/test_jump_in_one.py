@@ -162,6 +162,30 @@ def test_it_arrives_where_the_jump_begins(alpha: float, runs: Path) -> None:
     assert float((found[:2] - start[:2]).norm()) > 0.5, "it ran there"
 
 
+#: Servos that carry nothing.
+LIMP = ("scene.servos.natural_frequency=0.3", "scene.servos.keep=false")
+FEW = ("evaluation.episodes=2", "evaluation.final_episodes=2", "run.video_seconds=0")
+
+
+def test_who_falls_in_the_run_up_never_arrives(runs: Path, tmp_path: Path) -> None:
+    """The clip's time comes to the take-off of who lies on the ground, too."""
+    late = ("fields.arrival.at=3.5", "difficulty=0.5")
+    assert main(["train", *words(runs), *FEW, *LIMP, *late, f"run.dir={tmp_path / 'limp'}"]) == 0
+    found = json.loads((tmp_path / "limp" / "evaluation.json").read_text())
+    assert found["violated"]["fell_running"] == 1.0
+    assert found["measures"]["arrived"]["mean"] == 0.0
+    assert found["success_rate"] == 0.0
+
+
+def test_who_takes_off_behind_the_bar_has_cleared_nothing(runs: Path, tmp_path: Path) -> None:
+    """A run-up that begins a second sooner than the bank's begins on the mat here, and who lies there at the take-off landed."""
+    sooner = ("initial_states.begin=0.5", "difficulty=1.0")
+    assert main(["train", *words(runs), *FEW, *LIMP, *sooner, f"run.dir={tmp_path / 'there'}"]) == 0
+    found = json.loads((tmp_path / "there" / "evaluation.json").read_text())
+    assert found["success_rate"] == 0.0
+    assert found["violated"]["crashed"] == 1.0
+
+
 def test_a_start_after_the_clip_is_refused(runs: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"initial_states\.begin=99 is not possible: the clip lasts"
