@@ -18,6 +18,7 @@ from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_skills import bank
+from understudy_skills.skill import open_skill
 from understudy_tensors import rotations
 
 TINY = (
@@ -61,14 +62,31 @@ def played(runs: Path) -> Path:
     return runs / "whole"
 
 
-def test_a_pack_of_both_is_refused_with_what_to_pass_on(
-    played: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["play", str(played), "--pack", str(tmp_path / "both.json")]) == 2
-    said = capsys.readouterr().err
-    assert "Pass on the run folder, which has a copy of it." in said
-    assert "Override it" not in said
-    assert not any(tmp_path.iterdir())
+def test_a_pack_of_both_plays_both(
+    played: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """It was refused, since a pack had one policy."""
+    file = tmp_path / "both.json"
+    assert main(["play", str(played), "--pack", str(file)]) == 0
+    assert f"The pack has the policy of {runs / 'jump'}, " in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    text = file.read_text()
+    assert str(runs) not in text, "no folder of its makers"
+    inputs = open_skill(str(file)).experiment.inputs
+    assert isinstance(inputs, bank.BankInputs)
+    assert {*inputs.policies} == {"controller run_up", "controller jump"}
+    assert {*inputs.banks} == {"bank end"}
+    capsys.readouterr()
+    found = []
+    for source in (played, file):
+        assert main(["licence", str(source), "--json"]) == 0
+        items = json.loads(capsys.readouterr().out)["items"]
+        found.append({item["what"]: item["licence"] for item in items})
+    assert found[0] == found[1]
+    assert main(["evaluate", str(file), "half_step=false", "episodes=2"]) == 0
+    (made,) = (tmp_path / "runs" / "skills").iterdir()
+    judged = [json.loads(next(p.glob("evaluation*.json")).read_text()) for p in (played, made)]
+    assert judged[0]["measures"] == judged[1]["measures"], "it does what the run does"
 
 
 def test_the_licence_of_a_pack_names_the_bank_that_it_was_given(

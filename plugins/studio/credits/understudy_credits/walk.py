@@ -106,10 +106,14 @@ def answer(
 ) -> dict[str, Any]:
     """What travels with what is made from it, as plain data: its items, and by purpose what stands in the
     way (nothing: an empty list). `more` are files of which `made` has no copies, by what was asked for."""
+    registry = registry or installed().registry
     items = items_of(made, registry)
-    items += [
-        item for asked, files in (more or {}).items() if (item := _file(asked, files)) not in items
-    ]
+    for asked, files in (more or {}).items():
+        kind, _, name = asked.partition(" ")
+        found = [_file(asked, files)]
+        if kind == "controller":
+            found = [*_weights_of(name, _inner(name, files, registry), registry, _DEPTH)]
+        items += [item for item in found if item not in items]
     return {
         "items": [{k: v for k, v in asdict(item).items() if v} for item in items],
         **{
@@ -277,17 +281,20 @@ def _weights(
         inner = _inner(name, files, registry)
         if inner is None and start.get("run") == name and isinstance(start.get("sources"), Mapping):
             inner = Made(name, {"sources": start["sources"], "inputs": {}}, None)
-        if inner is None:
-            yield Item(
-                f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}"
-            )
-        else:
-            known = mapping(inner.info.get("licence")).get("items")  # of a pack
-            whole = items_of(inner, registry) if known else _data(inner, registry, depth - 1)
-            parts = [item for item in whole if not item.what.startswith("code ")]
-            joined = dict.fromkeys(item.licence for item in parts)
-            yield Item(f"weights of {Path(name).name}", " AND ".join(joined) or "unknown")
-            yield from parts
+        yield from _weights_of(name, inner, registry, depth)
+
+
+def _weights_of(name: str, inner: Made | None, registry: Registry, depth: int) -> Iterator[Item]:
+    """The weights of the run or skill `name`, and what the run `inner` says that they were made of."""
+    if inner is None:
+        yield Item(f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}")
+        return
+    known = mapping(inner.info.get("licence")).get("items")  # of a pack
+    whole = items_of(inner, registry) if known else _data(inner, registry, depth - 1)
+    parts = [item for item in whole if not item.what.startswith("code ")]
+    joined = dict.fromkeys(item.licence for item in parts)
+    yield Item(f"weights of {Path(name).name}", " AND ".join(joined) or "unknown")
+    yield from parts
 
 
 def _inner(name: str, files: list[Path], registry: Registry) -> Made | None:
