@@ -131,6 +131,8 @@ MUTANTS = (
            "tests/plugins/cloth/test_weight.py -k refused"),
     Mutant("strangers' banks are as large as they say", BANK, "if len(held) > MOST or size > _MOST_BYTES:", "if False:",
            "tests/plugins/skills/test_packed_banks.py -k strangers"),
+    Mutant("a bank that does not say from what is nobody's", "plugins/learning/skills/understudy_skills/origins.py",
+           "yield from [_UNKNOWN] if clips is None else clips", "yield from clips or []", "tests/plugins/credits/test_credits.py -k clips_are_behind"),
     Mutant("strangers' packs have as many policies as they say", "plugins/learning/skills/understudy_skills/skill.py",
            "if len(seen) > bank.MOST_POLICIES:", "if False:", "tests/plugins/sequencing/test_packed_stages.py -k strangers"),
     Mutant("policies in packs are rounded", "plugins/learning/skills/understudy_skills/skill.py",
@@ -332,10 +334,7 @@ MUTANTS = (
     Mutant("feet count after all else", ATTEMPT, "(touch & ~others[:, None])", "touch", "tests/plugins/jumping/test_attempt.py"),
     Mutant("particles forget what varies", "plugins/physics/warp_torch/understudy_warp_torch/world_state.py",
            "        self._put_varied(worlds, snapshot)\n", "", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
-    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
-    check_within(path)
-""", """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
-""", LINKS),
+    Mutant("links lead out of a run", RUNS, "    check_within(path)\n    try:\n        info", "    try:\n        info", LINKS),
     Mutant("links lead out of a new run", RUNS, "            check_within(self.path)\n", "", f"{LINKS} -k new_runs"),
     Mutant("links lead out of a reproduction", "plugins/search/reproduce/understudy_reproduce/owners.py",
            "        check_within(folder)\n", "        pass\n", f"{LINKS} -k new_runs"),

@@ -51,7 +51,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
     """So that who uses it knows on what terms."""
     about = checkpoint.load(runs / "end" / "bank")[1]["bank"]
-    assert about["clip"] == {"clip": "run", "licence": "Apache-2.0 (generated)"}
+    assert about["clips"] == [{"clip": "run", "licence": "Apache-2.0 (generated)"}]
 
 
 @pytest.fixture(scope="module")

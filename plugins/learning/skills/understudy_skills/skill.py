@@ -225,6 +225,10 @@ def read_card(name: str, registry: Registry | None = None) -> Mapping[str, Any]:
 
 def _check_card(card: Mapping[str, Any], path: Path) -> None:
     """Refuse a card whose parts are none, whoever wrote it."""
+    if "bank" in card:
+        raise RunError(
+            f"{path} is a bank of states, and no packed skill: name the run folder that has it, as {path.parent}."
+        )
     for key in ("config", "sources", "evaluation"):
         if not isinstance(card.get(key) or {}, Mapping):
             raise RunError(f"{path} is no packed skill: its {key} is no mapping.")
