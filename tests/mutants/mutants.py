@@ -131,6 +131,8 @@ MUTANTS = (
            "tests/plugins/cloth/test_weight.py -k refused"),
     Mutant("strangers' banks are as large as they say", BANK, "if len(held) > MOST or size > _MOST_BYTES:", "if False:",
            "tests/plugins/skills/test_packed_banks.py -k strangers"),
+    Mutant("warnings are told again and again", "kernel/understudy/command/cli.py", "told = functools.cache(tell)", "told = tell",
+           "tests/kernel/command/test_cli.py -k told_once"),
     Mutant("a bank that does not say from what is nobody's", "plugins/learning/skills/understudy_skills/origins.py",
            "yield from [_UNKNOWN] if clips is None else clips", "yield from clips or []", "tests/plugins/credits/test_credits.py -k clips_are_behind"),
     Mutant("strangers' packs have as many policies as they say", "plugins/learning/skills/understudy_skills/skill.py",
