@@ -92,9 +92,11 @@ def character_spec(
         or path.suffix.lower() in _SUFFIXES
         or (context and f"mjcf {path}" in context.inputs.kept)
     ):
-        spec = MjcfFile(MjcfFile.Options(named), context).spec()
+        file = MjcfFile(MjcfFile.Options(named), context)
+        spec = file.spec()
         _free_root(spec, path.stem)
-        _warn_of_angles(spec, path.stem)
+        if not file.attaches:  # whose angles may be in units of their own
+            _warn_of_angles(spec, path.stem)
         return path.stem, spec
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
