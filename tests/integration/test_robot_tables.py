@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -327,8 +328,30 @@ def test_radians_of_a_robot_that_keeps_its_feet_on_the_floor_are_asked_nothing(
     np.savetxt(
         tmp_path / "x.csv", qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]], delimiter=","
     )
-    clip = character.posed(read(tmp_path / "x.csv"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        clip = character.posed(read(tmp_path / "x.csv"))
     torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+
+
+def test_where_both_units_fit_it_is_said_which_is_taken(
+    tmp_path: Path, character: Character
+) -> None:
+    """Of a robot that stands and whose hinges move by less than a third of a degree, or of a radian."""
+    qpos = moving(character)
+    qpos[:, :7] = qpos[0, :7]
+    qpos[:, 7:] *= 0.2
+    np.savetxt(
+        tmp_path / "x.csv", qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]], delimiter=","
+    )
+    with pytest.warns(
+        UserWarning,
+        match=r"read in radians, though degrees would fit robot as well; motion\.angles=radians",
+    ):
+        character.posed(read(tmp_path / "x.csv"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        character.posed(read(tmp_path / "x.csv", angles="radians"))
 
 
 def test_it_is_learned_and_checked(

@@ -48,7 +48,10 @@ _SUFFIXES = (".xml", ".mjcf", ".urdf")
 #: Angles of unknown unit are asked about where, as radians, they leave a hinge's range by so many rad; or where the lowest
 #: point of a figure that stands on the floor as degrees, so many m from it, rises and sinks by so many m, and so many
 #: times as much as that. So many frames are looked at.
-_OUT, _STANDS, _SWAYS, _STEADIER, _LOOKED_AT = 0.5, 0.1, 0.1, 5.0, 200
+_OUT, _STANDS, _SWAYS, _STEADIER, _LOOKED_AT = 0.5, 0.1, 0.06, 5.0, 200
+#: They are radians where it rises and sinks by more m in degrees, and by less than half of that in radians; or where the root
+#: goes so many m or turns by so many rad, for which a few degrees of the hinges are not enough. Else both may be.
+_SHOWN, _GOES = 0.005, 0.3
 
 
 def load_character(named: str, registry: Registry) -> Character:
@@ -488,6 +491,16 @@ class Character:
             raise FileError(
                 f"{wrong}as radians {self.name}'s lowest point rises and sinks by {sways[0]:.2g} m, as degrees by "
                 f"{sways[1]:.2g} m: {cure}"
+            )
+        place, turn = clip.root_position, clip.rotations[:, 0]
+        away = float((place.amax(dim=0) - place.amin(dim=0)).norm())
+        around = float(rotations.angle_between(turn, turn[:1].expand_as(turn)).max())
+        shown = sways[1] > _SHOWN and sways[0] < sways[1] / 2.0  # that they are radians
+        if not shown and max(away, around) < _GOES and beyond(others).max() <= _OUT:
+            warnings.warn(
+                f"{wrong}is read in radians, though degrees would fit {self.name} as well; motion.angles=radians (--angles "
+                "radians) says it is so, motion.angles=degrees that it is not.",
+                stacklevel=3,
             )
 
     def clip(
