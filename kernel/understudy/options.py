@@ -223,8 +223,7 @@ def in_words(annotation: Any) -> str:
     if origin in (tuple, list):
         kinds = dict.fromkeys(in_words(kind) for kind in inner if kind is not Ellipsis)
         of = " or ".join(kinds).removeprefix("a ")
-        fixed = origin is tuple and Ellipsis not in inner
-        count = f"{len(inner)} " if fixed else ""
+        count = f"{len(inner)} " if origin is tuple and Ellipsis not in inner else ""
         plural = "s" if of.endswith("number") or of.endswith("mapping") else ""
         if of.startswith("list"):
             of = of.replace("list", "lists", 1)

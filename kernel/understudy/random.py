@@ -38,8 +38,7 @@ def _mix(x: Tensor) -> Tensor:
 
 def derive_seed(seed: int, name: str) -> int:
     """A 63-bit seed for the consumer `name`, independent of every other name's."""
-    digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
-    return int.from_bytes(digest[:8], "little") >> 1
+    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:8], "little") >> 1
 
 
 def generator(seed: int, name: str, device: torch.device | str = "cpu") -> torch.Generator:

@@ -43,6 +43,37 @@ print("torch" in sys.modules)
     assert len(done.stdout + done.stderr) > 50  # it has done what it is for
 
 
+def test_options_of_the_gpus_physics_are_known_without_it(tmp_path: Path) -> None:
+    """Its import took half of the time of every ``config`` of an experiment for GPUs."""
+    code = """
+import sys
+from understudy.command.cli import main
+assert main(["config", "experiment=jumping/high_gpu", "simulator.contacts=77", "--json"]) == 0
+print(sorted({"mujoco_warp", "warp"} & sys.modules.keys()))
+"""
+    done = python(code, cwd=tmp_path)
+    assert done.stdout.splitlines()[-1:] == ["[]"], done.stdout + done.stderr
+    assert '"contacts": 77' in done.stdout
+
+
+@pytest.mark.parametrize("missing", ["mujoco_warp", "warp"])
+def test_a_training_without_the_gpus_physics_says_what_to_install(
+    missing: str, tmp_path: Path
+) -> None:
+    code = f"""
+import sys
+sys.modules[{missing!r}] = None
+from understudy.command.cli import main
+sys.exit(main(["train", "experiment=jumping/high_gpu", "device=cpu", "num_worlds=2", "run.dir=run"]))
+"""
+    done = python(code, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "simulator=mujoco_warp needs MuJoCo Warp" in done.stderr
+    assert "pip install 'understudy[gpu]', or choose simulator=mujoco." in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
 def test_first_step_without_network_home_or_cache(tmp_path: Path) -> None:
     code = """
 import socket, sys, time

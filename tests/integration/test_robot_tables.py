@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def moving(character: Character) -> np.ndarray:
     return qpos
 
 
-def read(path: Path, **options: float) -> Clip:
+def read(path: Path, **options: float | str) -> Clip:
     return read_clip(path, REGISTRY, ReadOptions(**options))  # type: ignore[arg-type]
 
 
@@ -252,6 +253,105 @@ def test_angles_go_on_over_a_half_turn(tmp_path: Path, character: Character) -> 
     clip = character.posed(read(path))
     turned = clip.rotations[:, character.joint_names.index(character.joint_names[1 + 0])]
     assert rotations.angle_between(turned[1:], turned[:-1]).max() < 0.6
+
+
+def in_degrees(tmp_path: Path, qpos: np.ndarray, header: str = "") -> Path:
+    """A table whose hinges are in degrees."""
+    rows = qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]].copy()
+    rows[:, 7:] = np.degrees(rows[:, 7:])
+    np.savetxt(tmp_path / "x.csv", rows, delimiter=",", header=header, comments="")
+    return tmp_path / "x.csv"
+
+
+@pytest.mark.parametrize("swing", [0.05, 0.02, 0.01])
+def test_degrees_of_hinges_that_hardly_move_are_asked_about(
+    tmp_path: Path, character: Character, swing: float
+) -> None:
+    """They were read as radians: 2.9 degrees as 166."""
+    qpos = moving(character)
+    qpos[:, 7:] *= swing / 0.3
+    path = in_degrees(tmp_path, qpos)
+    with pytest.raises(
+        FileError,
+        match=r"does not say the unit of its angles, and as radians .* give motion\.angles=degrees",
+    ):
+        character.posed(read(path))
+    clip = character.posed(read(path, angles="degrees"))
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+    said = character.posed(read(path, angles="radians"))
+    assert said.num_frames == FRAMES, "who says it is believed"
+
+
+def test_a_name_with_a_unit_answers_for_a_table(tmp_path: Path, character: Character) -> None:
+    qpos = moving(character)
+    qpos[:, 7:] *= 0.1
+    root = "x,y,z,qx,qy,qz,qw"
+    for unit in ("deg", "rad"):
+        header = ",".join([root, *(f"{name} [{unit}]" for name in character.hinges)])
+        path = in_degrees(tmp_path, qpos, header)
+        clip = character.posed(read(path))
+        if unit == "deg":
+            torch.testing.assert_close(
+                character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0
+            )
+        with pytest.raises(
+            FileError,
+            match=r"it says the unit of its angles; leave motion\.angles=degrees \(--angles\) out",
+        ):
+            read(path, angles="degrees")
+
+
+def test_one_hinge_beyond_a_turn_among_small_ones_is_asked_about(
+    tmp_path: Path, character: Character
+) -> None:
+    """The median of all was looked at: a bent knee in degrees was read as radians where most hinges rest."""
+    qpos = moving(character)
+    qpos[:, 7:] *= 0.1
+    qpos[:, 9] = np.radians(35.0)
+    path = in_degrees(tmp_path, qpos)
+    with pytest.raises(
+        FileError,
+        match=r"its hinge '3' turns to 35, in radians more than a turn: give motion\.angles=degrees",
+    ):
+        read(path)
+    clip = character.posed(read(path, angles="degrees"))
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+
+
+def test_radians_of_a_robot_that_keeps_its_feet_on_the_floor_are_asked_nothing(
+    tmp_path: Path, character: Character
+) -> None:
+    """Its legs bend and its root sinks, so that only as radians its lowest point stays."""
+    qpos = moving(character)
+    low = character.clearance(torch.from_numpy(qpos)).amin(dim=1).numpy()
+    qpos[:, 2] -= low
+    np.savetxt(
+        tmp_path / "x.csv", qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]], delimiter=","
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        clip = character.posed(read(tmp_path / "x.csv"))
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+
+
+def test_where_both_units_fit_it_is_said_which_is_taken(
+    tmp_path: Path, character: Character
+) -> None:
+    """Of a robot that stands and whose hinges move by less than a third of a degree, or of a radian."""
+    qpos = moving(character)
+    qpos[:, :7] = qpos[0, :7]
+    qpos[:, 7:] *= 0.2
+    np.savetxt(
+        tmp_path / "x.csv", qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]], delimiter=","
+    )
+    with pytest.warns(
+        UserWarning,
+        match=r"read in radians, though degrees would fit robot as well; motion\.angles=radians",
+    ):
+        character.posed(read(tmp_path / "x.csv"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        character.posed(read(tmp_path / "x.csv", angles="radians"))
 
 
 def test_it_is_learned_and_checked(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import functools
 import io
 import os
 import re
@@ -15,6 +16,7 @@ import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -41,6 +43,9 @@ _UNUSABLE = (*_UNPRINTED, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.E
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status. Without `arguments`, the process ends with it."""
     own = arguments is None
+    if own and not os.environ.get("UNDERSTUDY_TRACEBACK"):  # which asks for lines of code
+        told = functools.cache(tell)  # each once
+        warnings.showwarning = lambda text, *_, **__: told(" ".join(str(text).split()))
     for stream in (sys.stdout, sys.stderr):
         if own and isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal may not have every character
@@ -151,8 +156,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    _add_commands(commands, arguments)
+    _add_commands(parser.add_subparsers(metavar="COMMAND", required=True), arguments)
     return parser
 
 

@@ -286,7 +286,8 @@ def open_run(path: str | Path) -> Run:
     path = Path(path)
     file = path / "run.json"
     if not os.path.lexists(file):
-        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
+        one = min(path.glob("*/run.json"), default=Path("runs/NAME/run.json")).parent  # of a sweep
+        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as {one}.")
     check_within(path)
     try:
         info = json.loads(read(file))

@@ -447,8 +447,7 @@ class Environment:
         self._remember(worlds)  # for actuation and memories, which may begin from such fields
         actuation = parts.actuation
         if actuation.part.keeps:
-            begun = actuation.part.begin(**self.table.pick(actuation.reads))
-            self._keep(actuation, begun, worlds)
+            self._keep(actuation, actuation.part.begin(**self.table.pick(actuation.reads)), worlds)
         for name, memory in parts.memories.items():
             streams = self._memory_streams.get(name)
             drawn = streams.state_dict() if streams else {}

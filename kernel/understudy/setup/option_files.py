@@ -155,8 +155,7 @@ def compose(
         value = each(override.value(), _number)
         if isinstance(value, Mapping) and "name" in value and not override.is_delete():
             OmegaConf.update(config, override.key_or_group, {}, merge=False, force_add=True)
-        override = replace(override, _value=value)
-        ConfigLoaderImpl._apply_overrides_to_config([override], config)
+        ConfigLoaderImpl._apply_overrides_to_config([replace(override, _value=value)], config)
     return config
 
 

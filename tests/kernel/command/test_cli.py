@@ -11,7 +11,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
-from commands import begin_on
+from commands import begin_on, forked
 from motion_files import walker
 
 from understudy.command.cli import main
@@ -261,6 +261,41 @@ def test_a_process_that_is_told_to_print_ascii() -> None:
     done = subprocess.run([*command, "experiments"], capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.decode("ascii")) > 100
+
+
+@pytest.mark.parametrize("lines_of_code", [False, True])
+def test_a_warning_is_a_sentence_told_once(lines_of_code: bool, tmp_path: Path) -> None:
+    """It had the line of code below it, and came again whenever a library had looked at the filters since."""
+    code = """
+import sys, warnings
+from understudy.command import cli
+def run(words):
+    for _ in range(3):
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("It may shake.\\n  Make it heavier.", stacklevel=1)
+    warnings.warn("Another.", stacklevel=1)
+    return 0
+cli._run = run
+cli.main()
+"""
+    said = forked(
+        code, cwd=tmp_path, **({"UNDERSTUDY_TRACEBACK": "1"} if lines_of_code else {})
+    ).stderr
+    if lines_of_code:
+        assert said.count("UserWarning: It may shake.") == 3
+    else:
+        assert said == "It may shake. Make it heavier.\nAnother.\n"
+
+
+def test_a_servo_too_strong_for_its_time_step_is_told_of_in_a_line(tmp_path: Path) -> None:
+    words = ("--observations", "experiment/spacetime/walk", "control.substeps=2")
+    process = begin_on(tmp_path / "terminal", "utf-8", "describe", *words)
+    process.join(100)
+    told, *_ = (tmp_path / "terminal").read_text().splitlines()
+    assert told.startswith("The time step of 16.7 ms is too long for the servo of humanoid's joint")
+    assert told.endswith("scene.servos.step_speed=10.")
+    assert "warn_of_shaking" not in (tmp_path / "terminal").read_text()
 
 
 @pytest.mark.parametrize("name", ["-walk.bvh", "--walk.bvh", "-h.bvh"])

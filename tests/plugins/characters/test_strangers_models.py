@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import warnings
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
 from understudy_characters.scene import CharacterScene
-from understudy_mujoco.trial import not_finite
+from understudy_mujoco.mjcf import read_mjcf
+from understudy_mujoco.trial import not_finite, spec_of
 
 TETRAHEDRON = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESH = (
@@ -780,13 +782,149 @@ def test_of_two_compilers_the_last_says_whether_paths_are_stripped(tmp_path: Pat
     assert len(scene(tmp_path, text).character.joints) == 12
 
 
-def test_an_attached_model_says_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "scene.xml").write_text(
-        '<mujoco><asset><model name="m" file="robot.xml"/></asset><worldbody><attach model="m" body="pelvis" '
-        'prefix="a"/></worldbody></mujoco>'
-    )
-    with pytest.raises(FileError, match=r"attaches a model .*robot\.xml.* by <include"):
-        load(tmp_path / "scene.xml")
+ARM = """<mujoco model="arm"><compiler angle="radian" meshdir="shapes"/><default><joint damping="3"/></default>
+<asset><mesh name="m" file="m.obj"/></asset><worldbody><body name="upper" pos="0 0 .1">
+<joint name="shoulder" axis="0 1 0" range="-1 1"/><geom type="capsule" size=".04" fromto="0 0 0 .3 0 0" mass="1"/>
+<body name="lower" pos=".3 0 0"><joint name="elbow" axis="0 1 0" range="0 2"/>{more}
+<geom type="mesh" mesh="m" mass=".5"/></body></body></worldbody>
+<actuator><motor name="m" joint="elbow"/></actuator></mujoco>"""
+TORSO = """<mujoco model="torso"><asset><model {name}file="{file}"/></asset><worldbody>
+<body name="torso" pos="0 0 1"><freejoint/><geom type="box" size=".1 .1 .2" mass="5"/>
+<frame pos="0 .2 .2"><attach model="arm" body="upper" prefix="l_"/></frame>
+<frame pos="0 -.2 .2"><attach model="arm" {body}prefix="r_"/></frame>{more}</body></worldbody></mujoco>"""
+BODY = 'body="upper" '
+
+
+def attaching(
+    tmp_path: Path, arm: str = ARM, torso: str = TORSO, file: str = "parts/arm.xml",
+    name: str = 'name="arm" ', body: str = BODY, more: str = "", of_arm: str = "",
+) -> Path:  # fmt: skip
+    """A model that attaches two of another one, with a mesh, from a folder of its own."""
+    (tmp_path / "own" / "parts" / "shapes").mkdir(parents=True)
+    (tmp_path / "own" / "parts" / "shapes" / "m.obj").write_text(TETRAHEDRON)
+    (tmp_path / "own" / "parts" / "arm.xml").write_text(arm.replace("{more}", of_arm))
+    text = torso
+    for key, value in {"file": file, "name": name, "body": body, "more": more}.items():
+        text = text.replace("{" + key + "}", value)
+    (tmp_path / "own" / "torso.xml").write_text(text)
+    return tmp_path / "own" / "torso.xml"
+
+
+def alike(one: mujoco.MjModel, other: mujoco.MjModel) -> None:
+    names = [[m.joint(k).name for k in range(m.njnt)] for m in (one, other)]
+    assert names[0] == names[1]
+    for key in (
+        "jnt_range",
+        "dof_damping",
+        "body_pos",
+        "body_mass",
+        "body_inertia",
+        "qpos0",
+        "geom_size",
+    ):
+        np.testing.assert_allclose(getattr(one, key), getattr(other, key), atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "body"), [('name="arm" ', BODY), ("", BODY), ('name="arm" ', "")])
+def test_a_model_that_attaches_others_is_what_mujoco_makes_of_it(
+    tmp_path: Path, name: str, body: str
+) -> None:
+    """It was refused."""
+    path = attaching(tmp_path, name=name, body=body)
+    found = spec_of(read_mjcf(path))
+    alike(found.compile(), mujoco.MjSpec.from_file(str(path)).compile())
+    alike(found.copy().compile(), found.compile())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # each model has its own unit of angles
+        character = load(path)
+    assert list(character.hinges) == ["l_shoulder", "l_elbow", "r_shoulder", "r_elbow"]
+
+
+def test_a_copy_of_it_needs_no_other_folder(tmp_path: Path) -> None:
+    path = attaching(tmp_path)
+    read = read_mjcf(path)
+    (tmp_path / "copy").mkdir()
+    read.write(tmp_path / "copy" / "torso.xml")
+    shutil.rmtree(path.parent)
+    again = read_mjcf(tmp_path / "copy" / "torso.xml")
+    alike(spec_of(again).compile(), spec_of(read).compile())
+    assert sorted(p.name for p in (tmp_path / "copy").glob("*.xml")) == [
+        "attached-1.xml",
+        "torso.xml",
+    ]
+
+
+def test_models_attach_others_that_attach_others(tmp_path: Path) -> None:
+    path = attaching(
+        tmp_path, arm=ARM.replace("<asset>", '<asset><model name="hand" file="hand.xml"/>'),
+        of_arm='<frame pos=".3 0 0"><attach model="hand" body="palm" prefix="h_"/></frame>',
+    )  # fmt: skip
+    hand = '<mujoco><worldbody><body name="palm"><joint name="wrist" axis="0 0 1"/><geom size=".05"/></body></worldbody></mujoco>'
+    (path.parent / "parts" / "hand.xml").write_text(hand)
+    found = spec_of(read_mjcf(path)).compile()
+    assert [found.joint(k).name for k in range(1, found.njnt)] == [
+        f"{side}_{name}" for side in "lr" for name in ("shoulder", "elbow", "h_wrist")
+    ]
+
+
+OUTSIDE = '<mujoco model="arm"><worldbody><body name="upper"><geom size=".1"/></body></worldbody></mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"file": "../outside.xml"}, "refers to other files than those of its own folder"),
+        ({"file": "/etc/passwd"}, "refers to other files than those of its own folder"),
+        ({"file": "parts/none.xml"}, r"there is no file .*none\.xml"),
+        ({"file": ""}, r"a <model> names no file"),
+        ({"file": "torso.xml"}, "attaches itself"),
+        ({"arm": ARM.replace("m.obj", "../../../outside.xml")}, "refers to other files than those of its own folder"),
+        ({"arm": ARM.replace('meshdir="shapes"', 'meshdir="/etc"')}, "refers to other files than those of its own folder"),
+        ({"arm": ARM.replace("<asset>", '<extension><plugin plugin="x"/></extension><asset>')}, "or to plugins"),
+        ({"arm": ARM.replace("<asset>", '<asset><model name="up" file="../torso.xml"/>')}, "attaches itself"),
+        ({"arm": ARM.replace("<asset>", '<asset><model name="up" file="../../outside.xml"/>')}, "refers to other files"),
+        ({"arm": "<robot name='arm'><link name='upper'/></robot>"}, "attaches the URDF"),
+        ({"arm": "no XML"}, "no XML"),
+        ({"body": 'body="none" '}, "the model 'arm' that it attaches has no body 'none'"),
+        ({"name": 'name="other" '}, "it attaches the model 'arm', which it does not name"),
+        ({"more": '<replicate count="3"><attach model="arm" body="upper" prefix="x"/></replicate>'}, "within <replicate>"),
+        ({"more": '<attach model="arm" body="upper" prefix="l_"/>'}, "does not (load|compile)"),
+    ],
+)  # fmt: skip
+def test_what_a_model_may_not_attach_is_said(
+    tmp_path: Path, changes: dict[str, str], said: str
+) -> None:
+    """A stranger's model reads nothing but its own folder, whoever attaches what."""
+    (tmp_path / "outside.xml").write_text(OUTSIDE)
+    path = attaching(tmp_path, **changes)
+    with pytest.raises(FileError, match=said):
+        load(path)
+
+
+def test_models_attached_without_end_are_refused_soon(tmp_path: Path) -> None:
+    """Each attaches the next one sixteen times: a quarter of a thousand million bodies, of a few lines."""
+    for k in range(8):
+        inner = f'<asset><model name="m" file="m{k + 1}.xml"/></asset>' if k < 7 else ""
+        body = (
+            "".join(f'<attach model="m" body="b" prefix="{p}"/>' for p in range(16))
+            if k < 7
+            else ""
+        )
+        (tmp_path / f"m{k}.xml").write_text(
+            f'<mujoco>{inner}<worldbody><body name="b"><joint/><geom size=".1"/>{body}</body></worldbody></mujoco>'
+        )
+    with pytest.raises(FileError, match="more than 500 models in all"):
+        load(tmp_path / "m0.xml")
+
+
+def test_models_attached_too_deep_are_said(tmp_path: Path) -> None:
+    for k in range(12):
+        (tmp_path / f"m{k}.xml").write_text(
+            f'<mujoco><asset><model name="m" file="m{k + 1}.xml"/></asset><worldbody><body name="b"><joint/><geom size=".1"/>'
+            '<attach model="m" body="b" prefix="p"/></body></worldbody></mujoco>'
+        )
+    with pytest.raises(FileError, match="attached more than 8 deep"):
+        load(tmp_path / "m0.xml")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from understudy_credits.bibtex import entry
 from understudy_credits.terms import Purpose, judge, named
 from understudy_credits.walk import Made, answer, in_a_line, items_of, open_made
 from understudy_skills import bank
+from understudy_skills.origins import clips_behind
 
 CASES = {
     ("Apache-2.0", "commercial"): True,
@@ -191,6 +192,158 @@ def test_what_is_unknown_says_whom_to_ask(
     lines = capsys.readouterr().out.splitlines()
     (at,) = [i for i, line in enumerate(lines) if line.startswith("?   weights of leap")]
     assert lines[at + 1].strip() == "ask: understudy licence runs/leap"
+
+
+@pytest.mark.parametrize(
+    ("bank", "folder"),
+    [("runs/ends", "runs/ends"), ("runs/ends/bank.json", "runs/ends"), ("a/bank", "a")],
+)
+def test_of_a_bank_the_run_that_left_it_is_asked(
+    bank: str, folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    made = run(tmp_path, "MIT", inputs={f"bank {bank}": {"2/bank.npz": "0" * 64}})
+    assert main(["licence", str(made)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    (at,) = [i for i, line in enumerate(lines) if line.startswith("?   file ")]
+    assert lines[at + 1].strip() == f"ask: understudy licence {folder}"
+    assert lines[-1].startswith('What is marked "?" is unknown: ask those it comes from.')
+
+
+def test_what_is_known_to_be_forbidden_is_no_question(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["licence", str(run(tmp_path, "GPL", "CC BY-NC 4.0", inputs={}))]) == 1
+    assert "unknown" in capsys.readouterr().out, "of the model"
+    folder = run(tmp_path, "GPL", "CC BY-NC 4.0", inputs={}, config={})
+    assert main(["licence", str(folder)]) == 1
+    assert '"?"' not in capsys.readouterr().out
+
+
+NC = {"clip": "fight", "licence": "CC BY-NC 4.0", "attribution": "Fought by Cid."}
+MIT = {"clip": "leap", "licence": "MIT License", "attribution": "Leapt by Bea."}
+
+
+def test_a_bank_of_a_bank_has_the_terms_of_both_clips(tmp_path: Path) -> None:
+    """A run that learned from one clip began where another had led: its ends were on the terms of the first alone."""
+    first = run(tmp_path, sources={"motion": NC}, inputs={})
+    for number in "34":
+        (first / "inputs" / number).mkdir()
+    bank.save(
+        first / "inputs" / "3" / "bank",
+        {"qpos": torch.zeros(2, 3)},
+        {"clips": clips_behind(read(first), first)},
+    )
+    asked = {"bank runs/ends": {"3/bank.json": "0" * 64, "3/bank.safetensors": "0" * 64}}
+    second = run(tmp_path, sources={"motion": MIT}, inputs=asked)
+    found = clips_behind(read(second), second)
+    assert found == [MIT, NC]
+    bank.save(
+        tmp_path / "run" / "inputs" / "4" / "bank", {"qpos": torch.zeros(2, 3)}, {"clips": found}
+    )
+    third = run(tmp_path, sources={}, inputs={"bank runs/more": {"4/bank.json": "0" * 64}})
+    (item,) = [item for item in items_of(open_made(str(third))) if item.what == "file more"]
+    assert item.licence == "MIT License AND CC BY-NC 4.0"
+    assert item.attribution == "Leapt by Bea. Fought by Cid."
+
+
+def test_states_behind_which_is_nobodys_clip_are_in_nobodys_way(tmp_path: Path) -> None:
+    alone = run(tmp_path, sources={}, inputs={})
+    assert clips_behind(read(alone), alone) == []
+    (alone / "inputs" / "3").mkdir()
+    bank.save(alone / "inputs" / "3" / "bank", {"qpos": torch.zeros(2, 3)}, {"clips": []})
+    asked = {"bank runs/ends": {"3/bank.json": "0" * 64}}
+    items = items_of(open_made(str(run(tmp_path, sources={}, inputs=asked, config={}))))
+    assert [item.what for item in items] == ["code understudy"]
+
+
+@pytest.mark.parametrize(
+    ("info", "found"),
+    [
+        ({"sources": {"start": {"run": "a", "sources": {"motion": NC}}}}, [NC]),
+        ({"sources": {"start": {"run": "a"}}}, [{"licence": "unknown"}]),
+        ({"sources": {"policy": {"run": "a"}, "motion": MIT}}, [MIT, {"licence": "unknown"}]),
+        ({"inputs": {"bank it": {"9/bank.json": "0"}}}, [{"licence": "unknown"}]),
+        ({"inputs": {"controller it": {"9/run.json": "0"}}}, [{"licence": "unknown"}]),
+        ({"inputs": {"controller it": {"../../bank.json": "0"}}}, [{"licence": "unknown"}]),
+        ({"inputs": {"controller it": {"3/run.json": "0"}}}, [NC]),
+        ({"inputs": {"controller it": {"3/policy.json": "0"}}}, [MIT]),
+        ({"licence": {"items": [{"what": "clip leap", "licence": "MIT License", "attribution": "Leapt by Bea."}]}}, [MIT]),
+        ({"sources": 3, "inputs": []}, []),
+    ],
+)  # fmt: skip
+def test_whose_clips_are_behind_a_run(
+    info: dict[str, Any], found: list[dict[str, str]], tmp_path: Path
+) -> None:
+    inner = tmp_path / "inputs" / "3"
+    inner.mkdir(parents=True)
+    (inner / "run.json").write_text(json.dumps({"sources": {"motion": NC}}))
+    checkpoint.save(inner / "policy", {}, {"sources": {"motion": MIT}})
+    assert clips_behind(info, tmp_path) == found
+
+
+def test_a_second_clip_and_one_that_only_its_copy_tells_of_are_walked(tmp_path: Path) -> None:
+    """That of a style was left out, and that of a run that judges another one."""
+    inputs = {
+        "clip styles/angry.bvh": {n: "0" * 64 for n in ("3/angry.bvh", "3/angry.provenance.json")},
+        "motion.name=sprint": {n: "0" * 64 for n in ("4/sprint.txt", "4/LICENSE")},
+    }
+    folder = run(tmp_path, sources={}, inputs=inputs)
+    for name, text in {
+        "3/angry.provenance.json": json.dumps({"licence": "CC BY 4.0", "url": "https://a.b/angry"}),
+        "4/LICENSE": "Permission is hereby granted, free of charge, to any person",
+    }.items():
+        (folder / "inputs" / name).parent.mkdir(exist_ok=True)
+        (folder / "inputs" / name).write_text(text)
+    found = {item.what: item for item in items_of(open_made(str(folder)))}
+    assert found["clip angry.bvh"].licence == "CC BY 4.0"
+    assert found["clip angry.bvh"].source == "https://a.b/angry"
+    assert found["clip sprint"].licence == "MIT"
+
+
+def test_weights_inside_that_are_nobody_elses_are_in_nobodys_way(tmp_path: Path) -> None:
+    """Of a run that learned from nothing that is somebody's; one that does not say from what is unknown."""
+    known = {"config": {}, "sources": {}, "inputs": {}}
+    for info, whats in ((known, []), ({}, ["weights of go"])):
+        folder = run(
+            tmp_path, sources={}, config={}, inputs={"controller runs/go": {"3/run.json": "0"}}
+        )
+        (folder / "inputs" / "3").mkdir(exist_ok=True)
+        (folder / "inputs" / "3" / "run.json").write_text(json.dumps(info))
+        items = items_of(open_made(str(folder)))
+        assert [item.what for item in items] == ["code understudy", *whats]
+
+
+@pytest.mark.parametrize("command", ["licence", "cite"])
+def test_folders_of_runs_and_banks_say_what_to_name(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = run(tmp_path)
+    bank.save(tmp_path / "bank", {"qpos": torch.zeros(2, 3)}, {})
+    for source, said in (
+        (tmp_path, f"{tmp_path} is no run folder: it has no run.json. Name one, as {folder}."),
+        (tmp_path / "bank.json", f"is a bank of states, and no packed skill: name the run folder that has it, as {tmp_path}."),
+    ):  # fmt: skip
+        assert main([command, str(source)]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+
+
+def read(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "run.json").read_text())
+    return found
+
+
+def test_a_policy_that_an_override_gave_a_pack_brings_its_terms(tmp_path: Path) -> None:
+    """Of which its run has no copy."""
+    (tmp_path / "leap").mkdir()
+    (tmp_path / "leap" / "run.json").write_text(
+        json.dumps({"sources": {"motion": MIT}, "config": {}, "inputs": {}})
+    )
+    made = open_made(str(run(tmp_path, "MIT", sources={}, inputs={}, config={})))
+    found = answer(made, more={"controller runs/leap": [tmp_path / "leap" / "run.json"]})["items"]
+    assert [item["what"] for item in found] == ["code understudy", "weights of leap", "clip leap"]
+    assert found[1]["licence"] == "MIT License"
 
 
 def test_the_answer_travels(tmp_path: Path) -> None:

@@ -172,6 +172,26 @@ def test_runs_of_two_characters_are_refused_before_they_are_recorded(
     assert not (tmp_path / "whole.npz").exists()
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("jump", "run_up"), "is a jump, and {1} is none: exchange them"),
+        (("run_up", "run_up"), "{1} is no jump: its task has no obstacle"),
+        (("jump", "jump"), "{0} is a jump itself: its task has an obstacle"),
+    ],
+)
+def test_a_run_up_comes_first_and_a_jump_second(
+    names: tuple[str, str], said: str, run_up: Path, jump: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """Exchanged, they were joined without a word."""
+    given = [str({"run_up": run_up, "jump": jump}[name]) for name in names]
+    assert main(["jumping", "join", *given, str(tmp_path / "whole.npz")]) == 2
+    error = capsys.readouterr().err
+    assert said.format(*given) in error
+    assert error.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_run_that_was_rendered_by_other_words_says_where(jump: Path, tmp_path: Path) -> None:
     """As one that was trained on a GPU and is looked at without."""
     run = tmp_path / "run"

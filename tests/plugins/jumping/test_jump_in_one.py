@@ -18,6 +18,7 @@ from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_skills import bank
+from understudy_skills.skill import open_skill
 from understudy_tensors import rotations
 
 TINY = (
@@ -50,7 +51,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
     """So that who uses it knows on what terms."""
     about = checkpoint.load(runs / "end" / "bank")[1]["bank"]
-    assert about["clip"] == {"clip": "run", "licence": "Apache-2.0 (generated)"}
+    assert about["clips"] == [{"clip": "run", "licence": "Apache-2.0 (generated)"}]
 
 
 @pytest.fixture(scope="module")
@@ -61,14 +62,31 @@ def played(runs: Path) -> Path:
     return runs / "whole"
 
 
-def test_a_pack_of_both_is_refused_with_what_to_pass_on(
-    played: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["play", str(played), "--pack", str(tmp_path / "both.json")]) == 2
-    said = capsys.readouterr().err
-    assert "Pass on the run folder, which has a copy of it." in said
-    assert "Override it" not in said
-    assert not any(tmp_path.iterdir())
+def test_a_pack_of_both_plays_both(
+    played: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """It was refused, since a pack had one policy."""
+    file = tmp_path / "both.json"
+    assert main(["play", str(played), "--pack", str(file)]) == 0
+    assert f"The pack has the policy of {runs / 'jump'}, " in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    text = file.read_text()
+    assert str(runs) not in text, "no folder of its makers"
+    inputs = open_skill(str(file)).experiment.inputs
+    assert isinstance(inputs, bank.BankInputs)
+    assert {*inputs.policies} == {"controller run_up", "controller jump"}
+    assert {*inputs.banks} == {"bank end"}
+    capsys.readouterr()
+    found = []
+    for source in (played, file):
+        assert main(["licence", str(source), "--json"]) == 0
+        items = json.loads(capsys.readouterr().out)["items"]
+        found.append({item["what"]: item["licence"] for item in items})
+    assert found[0] == found[1]
+    assert main(["evaluate", str(file), "half_step=false", "episodes=2"]) == 0
+    (made,) = (tmp_path / "runs" / "skills").iterdir()
+    judged = [json.loads(next(p.glob("evaluation*.json")).read_text()) for p in (played, made)]
+    assert judged[0]["measures"] == judged[1]["measures"], "it does what the run does"
 
 
 def test_the_licence_of_a_pack_names_the_bank_that_it_was_given(
@@ -160,6 +178,30 @@ def test_it_arrives_where_the_jump_begins(alpha: float, runs: Path) -> None:
     heading = float(rotations.heading(found[3:7]))
     assert math.cos(heading - (alpha - math.pi / 2)) > math.cos(0.1)
     assert float((found[:2] - start[:2]).norm()) > 0.5, "it ran there"
+
+
+#: Servos that carry nothing.
+LIMP = ("scene.servos.natural_frequency=0.3", "scene.servos.keep=false")
+FEW = ("evaluation.episodes=2", "evaluation.final_episodes=2", "run.video_seconds=0")
+
+
+def test_who_falls_in_the_run_up_never_arrives(runs: Path, tmp_path: Path) -> None:
+    """The clip's time comes to the take-off of who lies on the ground, too."""
+    late = ("fields.arrival.at=3.5", "difficulty=0.5")
+    assert main(["train", *words(runs), *FEW, *LIMP, *late, f"run.dir={tmp_path / 'limp'}"]) == 0
+    found = json.loads((tmp_path / "limp" / "evaluation.json").read_text())
+    assert found["violated"]["fell_running"] == 1.0
+    assert found["measures"]["arrived"]["mean"] == 0.0
+    assert found["success_rate"] == 0.0
+
+
+def test_who_takes_off_behind_the_bar_has_cleared_nothing(runs: Path, tmp_path: Path) -> None:
+    """A run-up that begins a second sooner than the bank's begins on the mat here, and who lies there at the take-off landed."""
+    sooner = ("initial_states.begin=0.5", "difficulty=1.0")
+    assert main(["train", *words(runs), *FEW, *LIMP, *sooner, f"run.dir={tmp_path / 'there'}"]) == 0
+    found = json.loads((tmp_path / "there" / "evaluation.json").read_text())
+    assert found["success_rate"] == 0.0
+    assert found["violated"]["crashed"] == 1.0
 
 
 def test_a_start_after_the_clip_is_refused(runs: Path) -> None:

@@ -80,6 +80,12 @@ def test_radians_unit_rate_and_axis(tmp_path: Path) -> None:
     assert read(path, unit=0.0564).root_position[0, 2] == pytest.approx(17.5 * 0.0564)
     assert read(path, up="z").root_position[0, 1] == pytest.approx(17.5 * INCH / 0.45)
     assert read(path, loop=True).loop
+    assert torch.equal(read(path, angles="degrees").rotations, degrees.rotations)
+    with pytest.raises(
+        FileError,
+        match=r"says that its angles are in degrees; leave motion\.angles=radians \(--angles\) out",
+    ):
+        read(path, angles="radians")
     with pytest.raises(ConfigError, match=r"motion\.rate=0"):
         ReadOptions(rate=0.0)
 

@@ -21,7 +21,7 @@ from understudy.setup.plugins import installed
 from understudy_motion import library
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.bvh import BvhReader
-from understudy_motion.reading import Axis, ReadOptions, Unit
+from understudy_motion.reading import AngleUnit, Axis, ReadOptions, Unit
 from understudy_motion.writers.bvh import BvhWriter
 from understudy_tensors import rotations
 
@@ -664,6 +664,23 @@ def test_angles_in_radians(tmp_path: Path, name: str) -> None:
         torch.testing.assert_close(clip.root_position, expected.root_position)
         alike = (clip.rotations * expected.rotations).sum(dim=-1).abs()
         assert alike.min() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_who_says_the_unit_of_angles_is_believed(tmp_path: Path) -> None:
+    """Also where the figure looks otherwise."""
+    written = tmp_path / "written.bvh"
+    BvhWriter().write(library.find("walk", installed().registry), written)
+    expected = BvhReader().read(written)
+    (tmp_path / "radians.bvh").write_text(_in_radians(written.read_text()))
+
+    def alike(file: str, angles: AngleUnit) -> float:
+        clip = BvhReader().read(tmp_path / file, replace(WRITTEN, angles=angles))
+        return float((clip.rotations * expected.rotations).sum(dim=-1).abs().min())
+
+    assert alike("radians.bvh", "radians") == pytest.approx(1.0, abs=1e-6)
+    assert alike("written.bvh", "degrees") == pytest.approx(1.0, abs=1e-6)
+    assert alike("radians.bvh", "degrees") < 0.99
+    assert alike("written.bvh", "radians") < 0.9
 
 
 @pytest.mark.parametrize("kind", ["still", "typed", "crumpled"])

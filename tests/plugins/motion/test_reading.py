@@ -145,6 +145,12 @@ def test_what_could_run_code_or_has_no_names_says_so(tmp_path: Path, registry: R
         ("npz", {"rate": 30.0}, r"their times; leave motion\.rate=30\.0 \(--source-rate\) out"),
         ("csv", {"up": "y"}, r"which axis is vertical, z; leave motion\.up=y \(--up\) out"),
         ("deepmimic", {"up": "z"}, "which axis is vertical, y; leave"),
+        (
+            "npz",
+            {"angles": "degrees"},
+            r"unit of their angles, or have none; leave motion\.angles=degrees \(--angles\) out",
+        ),
+        ("deepmimic", {"angles": "radians"}, "the unit of their angles, or have none"),
         ("bvh", {"skeleton": Path("x.asf")}, r"their skeleton.*\(--skeleton\) out"),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import miniatures
 import pytest
@@ -121,16 +122,24 @@ def test_a_run_stays_as_it_is(packed: Path) -> None:
     assert run_folder(str(packed.parent / "run")) == str(packed.parent / "run")
 
 
-def test_a_policy_of_another_run_is_not_packed(built_on: Path) -> None:
-    """Nor one within a list; what a training began with, or a job took, is not read again."""
+def test_what_another_run_learned_is_not_packed(built_on: Path) -> None:
+    """But for a policy that acts inside, which is known once it was built; what a training began with, or a job took, is
+    not read again."""
     opened = open_skill(str(built_on / "sleeve"))
     run, config = str(built_on / "go"), dict(opened.card["config"])
+
+    def refuse(part: str, options: dict[str, Any], *, judged: bool = False) -> None:
+        own = {**opened.card, "config": {**config, part: options}}
+        skill.refuse_of_others(dataclasses.replace(opened, card=own), judged=judged)
+
     for key in ("start", "job"):
-        own = {**opened.card, "config": {**config, key: {"run": run}}}
-        skill.refuse_of_others(dataclasses.replace(opened, card=own))
-    own = {**opened.card, "config": {**config, "actuation": {"stages": [{"run": run}]}}}
-    with pytest.raises(ConfigError, match=r"actuation\.stages\.0\.run="):
-        skill.refuse_of_others(dataclasses.replace(opened, card=own))
+        refuse(key, {"run": run}, judged=True)
+    with pytest.raises(ConfigError, match=r"reward\.terms\.style\.runs\.0=.* Override it"):
+        refuse("reward", {"terms": {"style": {"runs": [run]}}})
+    stages = {"stages": [{"run": run}]}
+    refuse("actuation", stages)
+    with pytest.raises(ConfigError, match=r"actuation\.stages\.0\.run=.* Pass on the run folder"):
+        refuse("actuation", stages, judged=True)
 
 
 def test_nothing_names_no_run() -> None:

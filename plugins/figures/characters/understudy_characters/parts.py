@@ -22,7 +22,7 @@ from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import character_state
 from understudy_characters.surface import Surface, lowest_points, surface_of
 
-__all__ = ["REACH", "Reference"]
+__all__ = ["REACH", "Fall", "Reference"]
 
 
 class Kinematics(Fields):

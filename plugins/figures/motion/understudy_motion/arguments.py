@@ -12,7 +12,7 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
-from understudy_motion.reading import METRES, Axis, NamedUnit, ReadOptions, Unit
+from understudy_motion.reading import METRES, AngleUnit, Axis, NamedUnit, ReadOptions, Unit
 
 __all__ = ["add_reading", "finite", "open_clip", "port", "positive", "refuse_reading", "share"]
 
@@ -25,6 +25,9 @@ def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
     )
     group.add_argument("--up", choices=typing.get_args(Axis), help="its vertical axis")
     group.add_argument("--skeleton", type=Path, metavar="FILE", help="the ASF file of an AMC file")
+    group.add_argument(
+        "--angles", choices=typing.get_args(AngleUnit), help="the unit of its angles"
+    )
     group.add_argument("--source-rate", type=positive, metavar="HZ", help="its frames per second")
     parser.set_defaults(repeats=None)
     if loop:
@@ -58,6 +61,7 @@ def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> C
         skeleton=options.skeleton,
         loop=options.repeats,
         rate=options.source_rate,
+        angles=options.angles,
     )
     return library.find(source, registry, reading)
 
@@ -65,7 +69,7 @@ def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> C
 def refuse_reading(
     options: argparse.Namespace,
     run: str,
-    names: Sequence[str] = ("unit", "up", "skeleton", "source_rate"),
+    names: Sequence[str] = ("unit", "up", "skeleton", "source_rate", "angles"),
 ) -> None:
     """Raise :class:`ConfigError` for those of the options `names` that are given, of a `run` that leaves
     nothing unsaid."""

@@ -88,6 +88,8 @@ class Clip:
     """Where the file was fetched from, if that is recorded."""
     attribution: str = ""
     """The acknowledgement that the licence asks for."""
+    assumed: bool = False
+    """Whether its angles were taken for radians though nothing says so: of a robot's, whose model tells more."""
 
     def __post_init__(self) -> None:
         times = self.times.to(torch.float64)

@@ -26,6 +26,7 @@ NamedUnit = Literal["m", "cm", "mm", "inch", "foot"]
 Unit = NamedUnit | float
 """Of length: a name, or the metres in it."""
 Axis = Literal["y", "z"]
+AngleUnit = Literal["degrees", "radians"]
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048}
 HEAD_BYTES = 4096
@@ -52,6 +53,7 @@ class ReadOptions:
     skeleton: Path | None = None  #: the skeleton's own file, for formats that keep it apart (ASF)
     loop: bool | None = None  #: whether the motion repeats, where the format does not say
     rate: float | None = None  #: frames per second, for formats whose frames have no times
+    angles: AngleUnit | None = None  #: the unit of angles
 
     def __post_init__(self) -> None:
         if self.rate is not None and not 0.0 < self.rate < math.inf:
@@ -101,6 +103,7 @@ _FIXED = {
     "up": ("up", "which axis is vertical"),
     "rate": ("source-rate", "their times"),
     "skeleton": ("skeleton", "their skeleton, or have none"),
+    "angles": ("angles", "the unit of their angles, or have none"),
 }
 """Flag and words for what files may say."""
 
@@ -116,7 +119,7 @@ class ClipReader(ABC):
     """Reads one format."""
 
     #: What every file of the format says itself, by its name in :class:`ReadOptions`; another is refused.
-    fixed: Mapping[str, Any] = {"skeleton": None}
+    fixed: Mapping[str, Any] = {"skeleton": None, "angles": None}
     #: Usual endings of such files, for lists of clips; they decide nothing.
     suffixes: tuple[str, ...] = ()
 

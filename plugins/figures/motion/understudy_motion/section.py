@@ -18,7 +18,7 @@ from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.editing import close_loop, evenly_spaced, shift
 from understudy_motion.keyframes import keyframed
-from understudy_motion.reading import Axis, ReadOptions, Unit
+from understudy_motion.reading import AngleUnit, Axis, ReadOptions, Unit
 
 __all__ = ["Floor", "Motion"]
 
@@ -34,6 +34,7 @@ class MotionOptions:
     unit: Unit | None = None  #: of a file's lengths, where the file does not say
     up: Axis | None = None  #: a file's vertical axis, where the file does not say
     skeleton: str | None = None  #: path of the ASF of an AMC file; None takes the one beside it
+    angles: AngleUnit | None = None  #: of a file's angles, where the file does not say
     loop: bool | None = None  #: whether a file's motion repeats; None takes the file's word
     rate: float | None = None  #: a file's frames per second, where its frames have no times
     #: Seconds on either side of the seam over which a clip's end is led into its beginning, so that it repeats
@@ -89,7 +90,9 @@ class Motion:
         skeleton = None
         if (given := options.skeleton) is not None:
             skeleton = inputs.file(f"motion.skeleton={given}", lambda: [Path(given)])
-        reading = ReadOptions(options.unit, options.up, skeleton, options.loop, options.rate)
+        reading = ReadOptions(
+            options.unit, options.up, skeleton, options.loop, options.rate, options.angles
+        )
         name, file = options.name, options.file
         if file is not None or name not in registry.names("clip"):
             asked = f"motion.name={name}" if file is None else f"motion.file={file}"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -16,16 +16,23 @@ from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy.task import Context, Scene
 
+if TYPE_CHECKING:
+    from understudy_skills.skill import Skill
+
 __all__ = ["MOST", "NAME", "BankInputs", "Held", "files", "fitting", "load", "save", "starts"]
 
 #: The bank that a harvest leaves in its run folder.
 NAME = "bank"
+#: Among a run's copies the policy of a pack from which the run was made.
+PACKED = "policy"
 #: One of so many states is for evaluations alone.
 HELD_OUT = 5
 #: Of what harvests keep; of others a simulator or a term would make something without a word.
 _KINDS = (torch.float32, torch.float64, torch.int32, torch.int64, torch.bool)
 #: States of a bank that a pack has, and bytes of these, at most; and banks of a pack.
 MOST, _MOST_BYTES, _MOST_BANKS = 64, 2**23, 16
+#: Policies of a pack that act inside its task, at most.
+MOST_POLICIES = 16
 
 
 @dataclass(frozen=True)
@@ -41,30 +48,52 @@ class Held:
 
 @dataclass
 class BankInputs(Inputs):
-    """The inputs of a packed skill, which has the banks that its task reads, by what was asked for.
+    """The inputs of a packed skill, which has the banks that its task reads and the policies that act inside it, by what was
+    asked for.
 
-    With `gathers` a bank that is read from a file is held, too, with :data:`MOST` of its states at most: what is judged
-    then is what a pack will have.
+    With `gathers` a bank that is read from a file is held, too, with :data:`MOST` of its states at most, and so is a policy:
+    what is judged then is what a pack will have.
     """
 
     banks: dict[str, Held] = field(default_factory=dict)
+    policies: dict[str, Skill] = field(default_factory=dict)
     gathers: bool = False
     #: of banks that were gathered: how many states they had
     sizes: dict[str, int] = field(default_factory=dict)
-    #: those of the pack from which others are gathered
-    had: Mapping[str, Held] = field(default_factory=dict)
+    #: that of the pack from which others are gathered
+    had: BankInputs | None = None
 
     @classmethod
     def gathering(cls, inputs: Inputs) -> BankInputs:
         """As `inputs`, for a skill that will be packed."""
-        had = inputs.banks if isinstance(inputs, BankInputs) else {}
+        had = inputs if isinstance(inputs, BankInputs) else None
         return cls(inputs.folder, dict(inputs.kept), gathers=True, had=had)
+
+    def given(self) -> list[str]:
+        """What was asked for that is held here and was not in the pack from which it is gathered."""
+        had = (*self.had.banks, *self.had.policies) if self.had else ()
+        return sorted({*self.banks, *self.policies} - {*had})
+
+    def policy(self, asked: str, find: Callable[[], Skill]) -> Skill:
+        """The skill that acts inside the task for what is `asked`: the pack's, else that which `find` opens."""
+        if asked in self.policies:
+            return self.policies[asked]
+        found = (self.had.policies if self.had else {}).get(asked) or find()
+        if self.gathers:
+            own = BankInputs.gathering(found.experiment.inputs)
+            found = replace(found, experiment=replace(found.experiment, inputs=own))
+            self.policies[asked] = found
+            if len(self.policies) > MOST_POLICIES:
+                raise ConfigError(
+                    f"--pack: more than {MOST_POLICIES} policies inside one are too many for a pack."
+                )
+        return found
 
     def bank(self, asked: str, find: Callable[[], Held]) -> Held:
         """The bank for what is `asked`: the pack's, else that which `find` reads."""
         if asked in self.banks:
             return self.banks[asked]
-        found = self.had.get(asked) or find()
+        found = (self.had.banks if self.had else {}).get(asked) or find()
         if self.gathers:
             self.sizes[asked] = len(found)
             self.banks[asked] = found = _drawn_evenly(asked, found)
@@ -73,18 +102,25 @@ class BankInputs(Inputs):
         return found
 
     def copy(self, folder: Path) -> dict[str, dict[str, str]]:
-        """As :meth:`understudy.inputs.Inputs.copy`; banks become files, too."""
+        """As :meth:`understudy.inputs.Inputs.copy`; banks and policies become files, too."""
         super().copy(folder)
         for asked, held in self.banks.items():
-            own = folder / str(len(self.kept) + 1)
-            own.mkdir(parents=True)
-            checkpoint.save(
-                own / NAME, {"states": dict(held.states)}, {"bank": {"of": dict(held.of)}}
-            )
-            digests = {f: hashlib.sha256(f.read_bytes()).hexdigest() for f in files(own)}
-            self.kept[asked] = {f.relative_to(folder).as_posix(): d for f, d in digests.items()}
-        self.banks = {}
+            of = {"bank": {"of": dict(held.of)}}
+            self._write(asked, folder, NAME, {"states": dict(held.states)}, of)
+        for asked, skill in self.policies.items():
+            self._write(asked, folder, PACKED, *skill.packed(inside=True))
+        self.banks, self.policies = {}, {}
         return self.kept
+
+    def _write(
+        self, asked: str, folder: Path, name: str, state: Mapping[str, Any], card: Mapping[str, Any]
+    ) -> None:
+        own = folder / str(len(self.kept) + 1)
+        own.mkdir(parents=True)
+        checkpoint.save(own / name, state, card)
+        written = [own / f"{name}{ending}" for ending in (".json", ".safetensors")]
+        digests = {f: hashlib.sha256(f.read_bytes()).hexdigest() for f in written}
+        self.kept[asked] = {f.relative_to(folder).as_posix(): d for f, d in digests.items()}
 
 
 def as_state(banks: Mapping[str, Held]) -> dict[str, Any]:

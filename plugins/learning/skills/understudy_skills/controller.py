@@ -18,7 +18,8 @@ from understudy.setup.config import Chosen
 from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Wired, renamed
 from understudy_reinforcement.policy import build_policy
-from understudy_skills.skill import copy_run, open_skill
+from understudy_skills.bank import PACKED, BankInputs
+from understudy_skills.skill import Skill, copy_run, open_skill
 
 __all__ = ["Controller"]
 
@@ -43,6 +44,19 @@ def _within(source: str) -> Iterator[None]:
         yield
     finally:
         _BUILDING.reset(token)
+
+
+def _place(source: str, asked: str, context: Context) -> str:
+    """What to open for the controller `source`: a name, or the run's copy."""
+    assert context.registry is not None
+    path, inputs = Path(source), context.inputs
+    if path.suffix == ".json":
+        return str(inputs.file(asked, lambda: [path, path.with_suffix(".safetensors")]))
+    if any(Path(name).name == f"{PACKED}.json" for name in inputs.kept.get(asked, ())):
+        return str(inputs.file(asked, list))
+    if source in context.registry.names("skill"):
+        return source
+    return str(inputs.folder_of(asked, path, functools.partial(copy_run, source)))
 
 
 class Controller(nn.Module):
@@ -87,16 +101,15 @@ class Controller(nn.Module):
     @classmethod
     def _load(cls, source: str, context: Context, any_rate: bool, slower: bool) -> Controller:
         assert context.registry is not None
-        asked, place, path = f"controller {source}", source, Path(source)
-        if path.suffix == ".json":
-            place = str(
-                context.inputs.file(asked, lambda: [path, path.with_suffix(".safetensors")])
+        inputs, asked = context.inputs, f"controller {source}"
+
+        def find() -> Skill:
+            return open_skill(
+                _place(source, asked, context), registry=context.registry, without=("simulator",)
             )
-        elif source not in context.registry.names("skill"):
-            fill = functools.partial(copy_run, source)
-            place = str(context.inputs.folder_of(asked, path, fill))
+
         # It acts on this task's simulator.
-        skill = open_skill(place, registry=context.registry, without=("simulator",))
+        skill = inputs.policy(asked, find) if isinstance(inputs, BankInputs) else find()
         experiment = skill.experiment
         control = experiment.root.control
         periods = max(1, round(1.0 / (control.frequency * context.control_dt))) if slower else 1

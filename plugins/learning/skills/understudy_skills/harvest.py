@@ -24,6 +24,7 @@ from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import load_part
 from understudy_skills.folder import run_folder
 from understudy_skills.gathered import Gathered, Gathering
+from understudy_skills.origins import clips_behind
 
 
 def _simulators(experiment: Experiment) -> Mapping[str, tuple[Chosen, ...]]:
@@ -270,11 +271,8 @@ class Harvest(Gathering):
             "run": options.run,
             "moment": options.moment,
             "kept": self._wanted(),
+            "clips": clips_behind(self._source.info, self._source.path),
         }
-        clip = self._source.info["sources"].get("motion")
-        if clip is not None:  # its terms are those of what was learned from it
-            terms = ("clip", "licence", "url", "attribution")
-            about["clip"] = {key: clip[key] for key in terms if key in clip}
         self._gathered.save(run, about, self._built.scene if self._built else None)
 
     def sources(self) -> Mapping[str, Any]:

@@ -14,8 +14,10 @@ from understudy.records.runs import Run
 from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
+from understudy_reinforcement.job import sources_of
 from understudy_reinforcement.long_work import LongWork
 from understudy_skills.gathered import Gathered, Gathering
+from understudy_skills.origins import clips_behind
 
 
 class Settle(Gathering):
@@ -72,8 +74,10 @@ class Settle(Gathering):
         }
 
     def products(self, run: Run) -> None:
-        scene = self._built.scene if self._built else None
-        self._gathered.save(run, {"settled": f"{self.options.seconds:g} s"}, scene)
+        assert self._built is not None
+        clips = clips_behind({**run.info, "sources": sources_of(self._built)}, run.path)
+        about = {"settled": f"{self.options.seconds:g} s", "clips": clips}
+        self._gathered.save(run, about, self._built.scene)
 
     def state_dict(self) -> State:
         return {"environment": self.environment.state_dict(), **self._gathered.state_dict()}

@@ -55,8 +55,15 @@ _INTEGERS = {8: torch.int8, 16: torch.int16}
 _SCALES = (torch.float32, torch.float64)
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
+#: What of a run acts inside another task.
+_ACTING = re.compile(r"(encoder|actuation|policy)\b")
 #: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
 _OF_NO_RUN = ("clip ", "mjcf ")
+#: What of a run a policy that acts inside another task has no use for.
+_NOT_OF_CONTROLLERS = (
+    "simulator", "initial_states", "reward", "termination", "measure", "curriculum", "learner", "job", "start",
+    "evaluation", "outer_loop", "executor",
+)  # fmt: skip
 #: An option that takes a run, not its bank.
 _RUN = re.compile(r"(^|\.)runs?(\.\d+)*$")
 
@@ -97,6 +104,45 @@ class Skill:
         except ValueError as error:
             raise RunError(f"{self.name} is damaged: {error}.") from error
         policy.schedule(self.samples)
+
+    def packed(
+        self, bits: int = 32, *, inside: bool = False
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The state and the card of a pack of it: its actor, matrices with so many `bits` per weight; the banks that its task
+        reads; and, with their numbers as they are, the policies that act inside it. Of one that is `inside`, the card has what
+        a controller is built of. No name is of its makers' folders."""
+        kept = {k: v for k, v in self.policy.items() if ".critic." not in f".{k}"}
+        state: dict[str, Any] = {"policy": {k: _packed_tensor(v, bits) for k, v in kept.items()}}
+        card, inputs = dict(self.card), self.experiment.inputs
+        if inside:
+            known = {key: card.get(key) for key in ("samples", "versions", "sources")}
+            card = {**known, "config": _less(card["config"], _NOT_OF_CONTROLLERS)}
+        for of, where in (("motion", "source"), ("start", "run")):
+            found = (card.get("sources") or {}).get(of, {})
+            if isinstance(path_of := found.get(where), str):
+                card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
+        banks = inputs.banks if isinstance(inputs, BankInputs) else {}
+        policies = inputs.policies if isinstance(inputs, BankInputs) else {}
+        paths = dict.fromkeys(asked.partition(" ")[2] for asked in (*banks, *policies))
+        names = _names_within([*paths], card.get("overrides"))
+        config = _renamed(dict(card["config"]), names)
+        if names and card.get("overrides") is not None:
+            card["overrides"] = [_renamed_in(word, names) for word in card["overrides"]]
+        if isinstance(licence := card.get("licence"), Mapping):
+            card["licence"] = {**licence, "items": [_of_no_folder(i) for i in licence["items"]]}
+        config["run"] = {**config.get("run", {}), "dir": None}
+
+        def within(asked: str) -> str:
+            path = asked.partition(" ")[2]
+            return names.get(path, path)
+
+        if banks:
+            state["banks"] = bank.as_state({within(a): held for a, held in banks.items()})
+        if policies:
+            inner = {within(a): skill.packed(inside=True) for a, skill in policies.items()}
+            state["policies"] = {name: own for name, (own, _) in inner.items()}
+            card["policies"] = {name: own for name, (_, own) in inner.items()}
+        return state, {**card, "config": config}
 
     def whole(self) -> dict[str, Tensor]:
         """Its tensors with a new critic, since a packed skill has none.
@@ -179,6 +225,10 @@ def read_card(name: str, registry: Registry | None = None) -> Mapping[str, Any]:
 
 def _check_card(card: Mapping[str, Any], path: Path) -> None:
     """Refuse a card whose parts are none, whoever wrote it."""
+    if "bank" in card:
+        raise RunError(
+            f"{path} is a bank of states, and no packed skill: name the run folder that has it, as {path.parent}."
+        )
     for key in ("config", "sources", "evaluation"):
         if not isinstance(card.get(key) or {}, Mapping):
             raise RunError(f"{path} is no packed skill: its {key} is no mapping.")
@@ -233,11 +283,19 @@ def _less(config: Mapping[str, Any], without: Collection[str]) -> dict[str, Any]
 def _packed(
     path: Path, name: str, registry: Registry, without: Collection[str], overrides: Sequence[str]
 ) -> Skill:
-    state, card, inputs = _loaded(path)
+    state, card, inputs = _loaded(path, registry)
     if overrides:
         words = replaced(_words_of(card, name), overrides)
         refuse_resolvers(words[: len(words) - len(overrides)], name)
         card = {**card, "overrides": words, "config": compose_raw(words), "evaluation": None}
+    return _made_of(path, name, state, card, inputs, registry, without)
+
+
+def _made_of(
+    path: Path, name: str, state: Mapping[str, Any], card: Mapping[str, Any], inputs: BankInputs,
+    registry: Registry, without: Collection[str],
+) -> Skill:  # fmt: skip
+    """The skill of what the packed file `path` has, whoever wrote that."""
     _check_card(card, path)
     try:
         tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
@@ -249,14 +307,39 @@ def _packed(
     return Skill(name, experiment, tensors, card["samples"], card)
 
 
-def _loaded(path: Path) -> tuple[dict[str, Any], dict[str, Any], BankInputs]:
-    """What a packed skill's files have, and the banks within."""
+def _loaded(path: Path, registry: Registry) -> tuple[dict[str, Any], dict[str, Any], BankInputs]:
+    """What a packed skill's files have, and the banks and policies within."""
     state, card = checkpoint.load(path)
+    inputs = _inputs_of(path, state, card, registry, [])
+    return state, {key: value for key, value in card.items() if key != "policies"}, inputs
+
+
+def _inputs_of(
+    path: Path, state: Any, card: Any, registry: Registry, seen: list[str]
+) -> BankInputs:  # fmt: skip
+    """The banks and policies of the packed skill `path`, whoever wrote it; `seen` are the names of all policies so far."""
+    wrong = f"{path} is no packed skill"
+    if not isinstance(state, Mapping) or not isinstance(card, Mapping):
+        raise RunError(f"{wrong}: a policy of it is none.")
     try:
         banks = bank.of_state(state.get("banks", {}))
     except ValueError as error:
-        raise RunError(f"{path} is no packed skill: {error}.") from error
-    return state, card, BankInputs(banks={f"bank {name}": held for name, held in banks.items()})
+        raise RunError(f"{wrong}: {error}.") from error
+    states, cards = state.get("policies", {}), card.get("policies", {})
+    if not isinstance(states, Mapping) or not isinstance(cards, Mapping) or {*states} != {*cards}:
+        raise RunError(f"{wrong}: its policies are none, or not those of its card.")
+    seen += states
+    if len(seen) > bank.MOST_POLICIES:
+        raise RunError(f"{wrong}: it has more than {bank.MOST_POLICIES} policies inside.")
+    policies = dict[str, Skill]()
+    for name, own in states.items():
+        inputs = _inputs_of(path, own, cards[name], registry, seen)
+        inner = {key: value for key, value in cards[name].items() if key != "policies"}
+        policies[f"controller {name}"] = _made_of(
+            path, name, own, inner, inputs, registry, _NOT_OF_CONTROLLERS
+        )
+    held = {f"bank {name}": states for name, states in banks.items()}
+    return BankInputs(banks=held, policies=policies)
 
 
 def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
@@ -272,43 +355,53 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
 
 
 def gathering(skill: Skill) -> Skill:
-    """`skill`, whose task is read with the banks that :func:`pack` will write."""
+    """`skill`, whose task is read with the banks and policies that :func:`pack` will write."""
     inputs = BankInputs.gathering(skill.experiment.inputs)
     return replace(skill, experiment=replace(skill.experiment, inputs=inputs))
 
 
 def refuse_of_others(skill: Skill, *, judged: bool = False) -> None:
-    """Refuse to pack `skill` if its task reads what another run left: a pack has its own policy, and banks of states alone.
+    """Refuse to pack `skill` if its task reads what another run left, but for banks of states and policies that act inside it.
     What its training began with (``start.run``), or its job read, is not needed any more. Once it was `judged`, the banks
-    are known.
+    and policies are known.
 
     Raises
     ------
     ConfigError
         it does; the error says what to override.
     """
+    _refuse(skill, judged, "")
+
+
+def _refuse(skill: Skill, judged: bool, inside: str) -> None:
+    """As :func:`refuse_of_others`, of the policy `inside` another, too, of which only :data:`_ACTING` counts."""
     inputs = skill.experiment.inputs
-    banks = {*inputs.kept, *(inputs.banks if isinstance(inputs, BankInputs) else ())}
-    left = [a for a in inputs.kept if not a.startswith((*_OF_NO_RUN, "bank "))]
+    gathered = inputs if isinstance(inputs, BankInputs) else BankInputs()
+    banks, policies = {*inputs.kept, *gathered.banks}, {*inputs.kept, *gathered.policies}
+    left = [a for a in inputs.kept if not a.startswith((*_OF_NO_RUN, "bank ", "controller "))]
     for key, value in _words_in(skill.card["config"]):
-        if _OF_THE_RUN.match(key) or key.startswith("job."):
+        if _OF_THE_RUN.match(key) or key.startswith("job.") or (inside and not _ACTING.match(key)):
             continue
         held = f"bank {value}" in banks and not _RUN.search(key)
+        held |= f"controller {value}" in policies
         here = (Path(value) / "run.json").is_file() and not held
-        if here and not judged and not _RUN.search(key):
-            here = not bank.files(value)[0].is_file()
+        if here and not judged:  # it may be a bank, or act inside the task, which is known then
+            run = _RUN.search(key)
+            here = not (key.startswith("actuation.") if run else bank.files(value)[0].is_file())
         if here or any(a.endswith(f" {value}") for a in left):
             cure = (
                 "Override it, for example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and "
                 "played with that."
             )
-            if key.startswith(
+            if inside or key.startswith(
                 "actuation."
-            ):  # without it the policy does something else, or nothing
+            ):  # without it it does something else, or nothing
                 cure = "Pass on the run folder, which has a copy of it."
             raise ConfigError(
-                f"--pack: {key}={value} is another run's, and a pack has a policy and banks of states alone. {cure}"
+                f"--pack: {inside}{key}={value} is another run's, and a pack has policies and banks of states alone. {cure}"
             )
+    for asked, inner in gathered.policies.items():
+        _refuse(inner, judged, f"{inside}{asked.partition(' ')[2]}: ")
 
 
 def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
@@ -340,7 +433,7 @@ def with_own_starts(
     else:
         if source in registry.names("skill"):
             path = registry.find("skill", source).call()
-        _, card, inputs = _loaded(path)
+        _, card, inputs = _loaded(path, registry)
         experiment = replace(validate(_begun_as(card["config"], skill), registry), inputs=inputs)
     return None if _starts(experiment) == _starts(skill.experiment) else experiment
 
@@ -360,7 +453,7 @@ def _starts(experiment: Experiment) -> list[Any]:
 
 
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:
-    """Write the actor of `skill`, and the banks that it was judged with (:func:`gathering`), as ``PATH.safetensors`` and its
+    """Write the actor of `skill`, and the banks and policies that it was judged with (:func:`gathering`), as ``PATH.safetensors`` and its
     card as ``PATH.json``.
 
     Matrices get 8 or 16 `bits` per weight and a scale per row; with 32 they are unchanged, as everything else is.
@@ -371,33 +464,14 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
     RunError
         if they cannot be written; what was there is as it was.
     """
-    kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
-    card = {**skill.card, "evaluation": dict(evaluation)}
-    for of, where in (("motion", "source"), ("start", "run")):
-        found = (card.get("sources") or {}).get(of, {})
-        if isinstance(path_of := found.get(where), str):  # of no one's folders
-            card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
-    inputs = skill.experiment.inputs
-    banks = inputs.banks if isinstance(inputs, BankInputs) else {}
-    names = _names_within([asked.removeprefix("bank ") for asked in banks], card.get("overrides"))
-    config = _renamed(dict(card["config"]), names)
-    if names:
-        card["overrides"] = [_renamed_in(word, names) for word in card["overrides"]]
-        inputs_of = {f"bank {old}": f"bank {new}" for old, new in names.items()}
-        card["licence"] = _renamed(card.get("licence"), inputs_of)
-    config["run"] = {**config.get("run", {}), "dir": None}
+    state, card = replace(skill, card={**skill.card, "evaluation": dict(evaluation)}).packed(bits)
     path.parent.mkdir(parents=True, exist_ok=True)
-    policy = {k: _packed_tensor(v, bits) for k, v in kept.items()}
     # Both files are there before one takes its place: without its tensors, a card that was there is of nothing.
     name = path.name.removesuffix(".json").removesuffix(".safetensors")
     made = path.with_name(f".{name}.{os.getpid()}.partial")
     endings = (".safetensors", ".json")
     try:
-        state: dict[str, Any] = {"policy": policy}
-        if banks:
-            given = {asked.removeprefix("bank "): held for asked, held in banks.items()}
-            state["banks"] = bank.as_state({names.get(k, k): held for k, held in given.items()})
-        checkpoint.save(made, state, {**card, "config": config})
+        checkpoint.save(made, state, card)
         for ending in endings:
             os.replace(made.with_name(made.name + ending), path.with_name(name + ending))
     except RunError as error:
@@ -411,17 +485,25 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
 
 
 def _names_within(paths: Sequence[str], overrides: Any) -> dict[str, str]:
-    """By the path of a bank its name in a pack, of no one's folders, where the words that made the skill can say so."""
+    """By the path of a bank or run its name in a pack, of no one's folders, where the words that made the skill can say so, if
+    there are any."""
     found = dict[str, str]()
     for path in paths:
         tries = itertools.chain([""], (f"-{number}" for number in itertools.count(2)))
         name = next(
-            n for end in tries if (n := (Path(path).name or "bank") + end) not in found.values()
+            n for end in tries if (n := (Path(path).name or "it") + end) not in found.values()
         )
-        words = overrides if isinstance(overrides, list) else []
-        if any(_renamed_in(word, {path: f"{name} "}) != word for word in words):
+        words = overrides if isinstance(overrides, list) else None
+        if words is None or any(_renamed_in(word, {path: f"{name} "}) != word for word in words):
             found[path] = name
     return found
+
+
+def _of_no_folder(item: Mapping[str, Any]) -> dict[str, Any]:
+    """An item of a licence, whose source may name a bank or run of its makers."""
+    kind, _, path = str(item.get("source", "")).rpartition(" ")
+    own = kind in ("bank", "controller", "understudy licence")
+    return {**item, "source": f"{kind} {Path(path).name}"} if own else dict(item)
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
@@ -447,7 +529,8 @@ def is_left_over(file: Path) -> bool:
         return False
     try:
         with safe_open(file, "pt") as tensors:
-            return all(name.startswith(("policy/", "banks/")) for name in tensors.keys())  # noqa: SIM118 - no mapping
+            parts = ("policy/", "policies/", "banks/")
+            return all(name.startswith(parts) for name in tensors.keys())  # noqa: SIM118 - no mapping
     except (OSError, SafetensorError):
         return False
 

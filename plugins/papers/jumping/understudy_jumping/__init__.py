@@ -38,6 +38,7 @@ PARTS = {
         "jumping/crashed": ("terms:crashed", "touched what it must not"),
         "jumping/landed": ("terms:landed", "landed on the mat"),
         "jumping/fell": ("terms:fell", "lies on the mat, not landed as it should"),
+        "jumping/fell_running": ("run_up:FellRunning", "fell before the take-off"),
         "jumping/arrived": ("run_up:arrived", "the take-off has come"),
     },
     "reward": {

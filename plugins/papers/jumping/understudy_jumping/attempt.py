@@ -29,7 +29,7 @@ class Attempt(Memory):
 
     - ``crashed`` () 1 once it has touched what it must not
     - ``landed`` () 1 once it has landed as it should
-    - ``beyond`` () 1 once all of the body was `behind` m behind the obstacle
+    - ``beyond`` () 1 once all of the body was `behind` m behind the obstacle, over which it had come
     - ``head_first`` () 1 once the head has touched the mat
     - ``lowest_pass`` () m: the least height at which any part of the body passed over the obstacle, the
       height of the highest bar that the same movement had cleared; infinite before
@@ -140,7 +140,10 @@ class Attempt(Memory):
         mat, ground = touches & on_mat, touches & ~on_mat
         was_beyond = kept["beyond"] != 0
         behind = (ends[..., 0].amin(dim=2) - self._widths).amin(dim=1)
-        beyond = was_beyond | (behind >= obstacle_width + self._options.behind)
+        lowest = torch.minimum(kept["lowest_pass"], passed)
+        # who was there before the attempt began has come over nothing
+        over = torch.isfinite(lowest) & (behind >= obstacle_width + self._options.behind)
+        beyond = was_beyond | over
         fallen = (ground & ~self._foot).any(dim=1) | (mat.any(dim=1) & ~beyond)
         crashed = (kept["crashed"] != 0) | struck | fallen
         lies = (mat & self._trunk).any(dim=1) | (mat.sum(dim=1) >= 4)
@@ -149,7 +152,6 @@ class Attempt(Memory):
         landed = on_feet["on_feet"] == 1.0 if on_feet else lies
         head = (kept["head_first"] != 0) | (mat & self._head).any(dim=1)
         landed = (kept["landed"] != 0) | (landed & well)
-        lowest = torch.minimum(kept["lowest_pass"], passed)
         narrowest = torch.minimum(kept["narrowest_pass"], under)
         return {
             "crashed": crashed.float(),

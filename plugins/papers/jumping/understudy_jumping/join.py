@@ -31,6 +31,7 @@ from understudy_credits.walk import in_a_line, open_made
 from understudy_motion.arguments import finite
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.writing import Shown, write_figures
+from understudy_report.values import mapping
 from understudy_report.video import write_video
 from understudy_skills.folder import run_folder
 from understudy_tensors import rotations
@@ -73,6 +74,7 @@ class Join(Command):
         of = [run_character(run_folder(run)) for run in (options.run_up, options.jump)]
         if of[0].joint_names != of[1].joint_names:  # before what takes half a minute of each
             raise FileError(f"{options.run_up} and {options.jump} are not of the same character.")
+        _check_order(options.run_up, options.jump)
         # A skill's licence is its distribution's, of which its recording's folder knows nothing.
         made = (options.run_up, options.jump)
         options.run_up = run_folder(options.run_up, recorded=True)
@@ -94,6 +96,30 @@ class Join(Command):
             f"begins, and the joint that differs most is off by {angle:.2f} rad."
         )
         return 0
+
+
+def _check_order(run_up: str, jump: str) -> None:
+    """Refuse a run-up that has an obstacle, and a jump that has none."""
+    jumps = [_jumps(run_folder(run)) for run in (run_up, jump)]
+    if jumps == [True, False]:
+        raise FileError(
+            f"{run_up} is a jump, and {jump} is none: exchange them, since the run-up comes first."
+        )
+    if not jumps[1]:
+        raise FileError(
+            f"{jump} is no jump: its task has no obstacle. Name the run of one second, as of experiment=jumping/high_gpu."
+        )
+    if jumps[0]:
+        raise FileError(
+            f"{run_up} is a jump itself: its task has an obstacle. Name the run of a run-up first, as of "
+            "experiment=jumping/run_up_gpu."
+        )
+
+
+def _jumps(run: str) -> bool:
+    """Whether the task of the run folder judges an attempt at an obstacle."""
+    memories = mapping(runs.open_run(run).config.get("memory"))
+    return any(mapping(memory).get("name") == "jumping/attempt" for memory in memories.values())
 
 
 def _on_their_terms(clip: Clip, *made: str) -> Clip:

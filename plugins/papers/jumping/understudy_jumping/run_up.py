@@ -12,7 +12,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Fields, InitialStates, Shape, box
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
-from understudy_characters.parts import REACH
+from understudy_characters.parts import REACH, Fall
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_tensors import rotations
 
@@ -138,6 +138,21 @@ def takeoff_features(rotation: Tensor, velocity: Tensor) -> Tensor:
 def arrived(arrived: Tensor) -> Tensor:
     """The take-off has come; to be used with ``outcome: success``."""
     return arrived
+
+
+class FellRunning:
+    """A fall (``characters/fall``) while the run-up acts, the first of policies in sequence: the clip's time comes to the
+    take-off of who lies there, too, and a jump ends on the back."""
+
+    Options = Fall.Options
+
+    def __init__(self, options: Fall.Options, context: Context) -> None:
+        self._fall = Fall(options, context)
+
+    def __call__(
+        self, xpos: Tensor, xmat: Tensor, reference_link_clearances: Tensor, stage: Tensor
+    ) -> Tensor:
+        return self._fall(xpos, xmat, reference_link_clearances) & (stage == 0)
 
 
 def match(succeeded: Tensor, takeoff_match: Tensor, takeoff_rest: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ the paths. Whatever this does not read, MuJoCo does not either.
 from __future__ import annotations
 
 import codecs
+import itertools
 import os
 import re
 import warnings
@@ -27,6 +28,8 @@ MAX_ASSET_BYTES = 512 * 2**20
 MAX_FILES = 2000
 MAX_DEPTH = 200
 """How deeply elements and includes may be nested."""
+MAX_ATTACHED = 8
+"""How deeply models may be attached to one another."""
 
 _REFUSED = ("plugin", "extension")
 """Elements by which a model has libraries loaded."""
@@ -49,7 +52,7 @@ _POINTER = b"version https://git-lfs.github.com/spec/"
 
 @dataclass(frozen=True)
 class Mjcf:
-    """A model that refers to nothing but its assets."""
+    """A model that refers to nothing but its assets, among which are the models that it attaches."""
 
     text: str
     assets: Mapping[str, bytes]
@@ -86,8 +89,11 @@ def read_mjcf(path: Path, root: Path | None = None) -> Mjcf:
 
 
 class _Reader:
-    def __init__(self, path: Path, root: Path) -> None:
+    def __init__(self, path: Path, root: Path, within: tuple[Path, ...] = ()) -> None:
         self._path = path
+        self._within = within or (
+            path.resolve(),
+        )  #: the files that attach one another, this one last
         self._folder, self._root = path.parent.resolve(), root.resolve()
         self._bytes_left, self._asset_bytes_left = MAX_BYTES, MAX_ASSET_BYTES
         self._num_files = 0
@@ -116,16 +122,12 @@ class _Reader:
                 )
         elements = list(root.iter())
         for element in elements:
-            if element.tag == "model":
-                raise FileError(
-                    f"The model {self._path} refers to other files than those of its own folder that are read here: it "
-                    f"attaches a model (<model file={element.get('file', '')!r}>). Take that one's own file, or put its "
-                    "parts into this one by <include file=…/>."
-                )
             if element.tag in _REFUSED:
                 self._refuse(f"<{element.tag}>")
+        if not urdf:
+            self._attach(elements)
         directories = self._directories(elements)
-        for element in elements:
+        for element in (e for e in elements if e.tag != "model"):
             for key, name in list(element.items()):
                 if key.startswith("file"):
                     kind = "texturedir" if element.tag == "texture" else "meshdir"
@@ -141,6 +143,40 @@ class _Reader:
             compiler.set("fusestatic", "false")
         text = ElementTree.tostring(root, encoding="unicode")
         return Mjcf(text, self._assets, urdf)
+
+    def _attach(self, elements: list[ElementTree.Element]) -> None:
+        """Read the models that this one attaches, each as any model is read, and have it refer to what was read of them, under
+        names without folders."""
+        for element in (e for e in elements if e.tag == "model"):
+            if not (name := element.get("file", "")):
+                raise FileError(
+                    f"The model {self._path} does not load: a <model> names no file (file=…)."
+                )
+            path = self._inside(name)
+            if path in self._within:
+                raise FileError(f"The model {path} attaches itself.")
+            if len(self._within) > MAX_ATTACHED:
+                raise FileError(
+                    f"The model {self._path} does not load: models attached more than {MAX_ATTACHED} deep."
+                )
+            other = _Reader(path, self._root, (*self._within, path))
+            other._bytes_left, other._num_files = self._bytes_left, self._num_files
+            other._asset_bytes_left, other._assets = self._asset_bytes_left, self._assets
+            found = other.read()
+            if found.urdf:
+                raise FileError(
+                    f"The model {self._path} attaches the URDF {path}; attach an MJCF (<mujoco>)."
+                )
+            self._bytes_left, self._num_files = other._bytes_left, other._num_files
+            self._asset_bytes_left = other._asset_bytes_left
+            taken = {*self._assets, self._within[0].name}
+            own = next(n for k in itertools.count(1) if (n := f"attached-{k}.xml") not in taken)
+            self._assets[own] = found.text.encode()
+            if not element.get("name") and (
+                model := ElementTree.fromstring(found.text).get("model")
+            ):
+                element.set("name", model)
+            element.set("file", own)
 
     def _check_limits(self, robot: ElementTree.Element) -> None:
         """Refuse a joint whose range is upside down, which MuJoCo takes for one without, or its effort below 0."""

@@ -143,6 +143,7 @@ class MjcfFile(MujocoScene):
         kept = folder != own.parent
         self._mjcf = read_mjcf(folder / own.name, folder if kept else root)
         try_out(folder / own.name, folder if kept else root, self._mjcf)
+        self.attaches = "<attach" in self._mjcf.text  #: whether it has other models in it
 
     def spec(self) -> mujoco.MjSpec:
         return spec_of(self._mjcf)

@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -61,6 +62,9 @@ _GRAVITY = 1e4
 _MEMORY = 16 * 2**20
 """Bytes for contacts and what is computed in a step, at least: about as much as MuJoCo takes where a model says nothing."""
 
+_MOST_ATTACHED = 500
+"""Models in a model."""
+
 _passed: set[bytes] = set()
 
 
@@ -75,7 +79,7 @@ def spec_of(model: Mjcf) -> mujoco.MjSpec:
     ValueError
         it refuses it.
     """
-    spec = mujoco.MjSpec.from_string(model.text, assets=dict(model.assets))
+    spec = _parsed(model.text, dict(model.assets), [])
     spec.nconmax = spec.njmax = spec.nstack = -1
     spec.memory = max(spec.memory, _MEMORY) if spec.memory >= 0 else -1
     if model.urdf:
@@ -83,6 +87,53 @@ def spec_of(model: Mjcf) -> mujoco.MjSpec:
         if base is not None and not list(base.joints):
             base.add_freejoint()
     return spec
+
+
+def _parsed(text: str, assets: dict[str, bytes], attached: list[str]) -> mujoco.MjSpec:
+    """The model `text`, to which the models among its `assets` are attached that it names: MuJoCo would open their files.
+    All that were `attached` so far are counted."""
+    if "<attach" not in text:
+        return mujoco.MjSpec.from_string(_without_models(text), assets=assets)
+    root = ElementTree.fromstring(text)
+    files = {model.get("name"): model.get("file", "") for model in root.iter("model")}
+    asked: dict[str, dict[str, str]] = {}
+    for parent in root.iter():
+        for child in [c for c in parent if c.tag == "attach"]:
+            if any(child in replicate.iter() for replicate in root.iter("replicate")):
+                raise ValueError("it attaches models within <replicate>, which is not read here.")
+            name = f"attach:{len(asked)}"
+            asked[name] = dict(child.attrib)
+            child.tag, child.attrib = "frame", {"name": name}
+    spec = mujoco.MjSpec.from_string(
+        _without_models(ElementTree.tostring(root, encoding="unicode")), assets=assets
+    )
+    for name, given in asked.items():
+        model = given.get("model", "")
+        if model not in files:
+            raise ValueError(f"it attaches the model '{model}', which it does not name.")
+        attached.append(model)
+        if len(attached) > _MOST_ATTACHED:
+            raise ValueError(f"it attaches more than {_MOST_ATTACHED} models in all.")
+        other = _parsed(assets[files[model]].decode(), assets, attached)
+        frame, prefix = spec.frame(name), given.get("prefix", "")
+        if not (body := given.get("body", "")):
+            spec.attach(other, prefix=prefix, frame=frame)
+            continue
+        if (part := other.body(body)) is None:
+            raise ValueError(f"the model '{model}' that it attaches has no body '{body}'.")
+        frame.attach_body(part, prefix, "")
+    return spec
+
+
+def _without_models(text: str) -> str:
+    """`text` without the elements that name models, whose files MuJoCo would open."""
+    if "<model" not in text:
+        return text
+    root = ElementTree.fromstring(text)
+    for parent in root.iter():
+        for child in [c for c in parent if c.tag == "model"]:
+            parent.remove(child)
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def try_out(path: Path, root: Path, model: Mjcf) -> None:

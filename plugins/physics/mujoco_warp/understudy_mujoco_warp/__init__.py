@@ -5,6 +5,6 @@ REQUIRES = ("mujoco", "tensors", "warp_torch")
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
     "simulator": {
-        "mujoco_warp": ("simulator:MujocoWarpSimulator", "MuJoCo Warp on one GPU"),
+        "mujoco_warp": ("part:MujocoWarp", "MuJoCo Warp on one GPU"),
     },
 }

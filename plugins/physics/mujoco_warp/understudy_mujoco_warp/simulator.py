@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
 import torch
+import warp as wp
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.options import check_range
 from understudy.running.environment import Environment
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import RECENT, Stage, limits, often, readable
@@ -21,16 +21,9 @@ from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.capacity import constraint_capacity, contact_capacity
 from understudy_mujoco_warp.narrow import refuse_narrow_ranges
+from understudy_mujoco_warp.part import MujocoWarp
 from understudy_tensors.captured import Captured
 from understudy_warp_torch.kernels import Kernels, put_rows
-
-try:
-    import mujoco_warp as mjw
-    import warp as wp
-except ImportError as error:
-    raise ImportError(
-        f"simulator 'mujoco_warp' needs MuJoCo Warp ({error}): pip install 'understudy[gpu]'"
-    ) from error
 
 #: What decides the future of a world, beside its parameters; what a model has none of is left out.
 STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl", "time", "history", "plastic")
@@ -69,32 +62,10 @@ _SWITCHED, _FAR = "geom_margin", -1e8
 
 
 class MujocoWarpSimulator(Simulator):
-    """Fields are torch views of Warp's arrays, float32; ``ctrl`` is the control.
-
-    A call is one CUDA graph, captured when it is first made: all sub-steps, then everything that
-    was ever read at the new state, so that what is read belongs to the same moment. The first read
-    of a sensor, and of a force or an acceleration, makes all later calls compute them.
-
-    While the caller captures a CUDA graph of its own, the kernels go into that one.
-
-    On the CPU, where there are no graphs, it computes the same slowly; tests use that.
-
-    *Limits:* float32; on a GPU contacts come in another order each time, so it does not
-    repeat bit for bit. Contacts beyond what was sized are left out and counted. Of both
-    limits of a joint that act at once it knows only one, and refuses such a scene.
-    """
+    """What :class:`~understudy_mujoco_warp.part.MujocoWarp` says."""
 
     state_fields = ("qpos", "qvel")
-
-    @dataclass(frozen=True)
-    class Options:
-        #: Contacts to hold per world; null takes the most the scene can make.
-        contacts: int | None = None
-        #: Constraint rows to hold per world; null takes 4 a contact, and one a limited joint.
-        constraints: int | None = None
-
-        def __post_init__(self) -> None:
-            check_range(self, "contacts", "constraints", least=1, most=100_000)
+    Options = MujocoWarp.Options
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")

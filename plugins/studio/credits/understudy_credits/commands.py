@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
 from understudy import __version__
 from understudy.command.command import Command
 from understudy.setup.plugins import installed
 from understudy_credits.bibtex import entry, escaped, written
 from understudy_credits.terms import PURPOSES, judge
-from understudy_credits.walk import answer, items_of, obstacles, open_made
+from understudy_credits.walk import Item, Made, answer, items_of, obstacles, open_made
 from understudy_report import words
 from understudy_report.values import mapping, sequence
 
@@ -117,15 +118,36 @@ class Licence(Command):
             print(_plain(line).rstrip())
             if item.attribution:
                 print(f"    {'':<{width}}  name: {_plain(item.attribution)}")
-            if verdict.allowed is None and item.source.startswith("understudy "):
-                print(f"    {'':<{width}}  ask: {_plain(item.source)}")
+            if verdict.allowed is None and (asked := _whom_to_ask(item, made)):
+                print(f"    {'':<{width}}  ask: {_plain(asked)}")
         what = {"commercial": "commercial use", "sharing": "passing it on", "research": "research"}
         if in_the_way:
             named = ", ".join(_plain(item.what) for item, _ in in_the_way)
             print(f"In the way of {what[options.purpose]}: {named}.")
+            if any(verdict.allowed is None for _, verdict in in_the_way):
+                print(_TO_DO[made.folder is not None])
         else:
             print(f"Nothing stands in the way of {what[options.purpose]}, as far as was recorded.")
         return int(bool(in_the_way))
+
+
+#: What to do about the unknown, of a pack and of a run.
+_TO_DO = (
+    'What is marked "?" is unknown: ask whoever made this file.',
+    'What is marked "?" is unknown: ask those it comes from. Where a clip or a model has its terms beside it, in a file LICENSE, '
+    "what is trained after that knows them.",
+)
+
+
+def _whom_to_ask(item: Item, made: Made) -> str:
+    """The command that says more of what a run does not know; nothing where none does."""
+    if made.folder is None:  # whose makers' runs are elsewhere
+        return ""
+    kind, _, path = item.source.partition(" ")
+    if kind == "bank":
+        folder = Path(path).parent if Path(path).name.startswith("bank") else Path(path)
+        return f"understudy licence {folder}"
+    return item.source if kind == "understudy" else ""
 
 
 def _plain(text: str) -> str:

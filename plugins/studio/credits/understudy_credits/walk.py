@@ -24,6 +24,8 @@ __all__ = ["answer", "in_a_line", "open_made"]
 
 #: How far runs that began with runs are followed.
 _DEPTH = 8
+#: How the file beside a clip ends that says where it is from.
+_RECORD = ".provenance.json"
 #: Names of files that hold a licence.
 _LICENCE = re.compile(r"(licen[cs]e|copying)(\.(txt|md|rst))?", re.IGNORECASE)
 
@@ -106,10 +108,14 @@ def answer(
 ) -> dict[str, Any]:
     """What travels with what is made from it, as plain data: its items, and by purpose what stands in the
     way (nothing: an empty list). `more` are files of which `made` has no copies, by what was asked for."""
+    registry = registry or installed().registry
     items = items_of(made, registry)
-    items += [
-        item for asked, files in (more or {}).items() if (item := _file(asked, files)) not in items
-    ]
+    for asked, files in (more or {}).items():
+        kind, _, name = asked.partition(" ")
+        found = [*_file(asked, files)]
+        if kind == "controller":
+            found = [*_weights_of(name, _inner(name, files, registry), registry, _DEPTH)]
+        items += [item for item in found if item not in items]
     return {
         "items": [{k: v for k, v in asdict(item).items() if v} for item in items],
         **{
@@ -171,18 +177,29 @@ def _data(made: Made, registry: Registry, depth: int) -> Iterator[Item]:
         yield _clip(clip, copies)
     yield from _model(made.info, copies, registry)
     for asked, files in copies.items():
-        if not asked.startswith(("motion.", "clip ", "mjcf ", "controller ")):
-            yield _file(asked, files)
+        if asked.startswith("clip ") or (asked.startswith("motion.") and not clip):
+            yield _copied_clip(re.split("[ =]", asked, maxsplit=1)[1], files)
+        elif not asked.startswith(("motion.", "mjcf ", "controller ")):
+            yield from _file(asked, files)
     yield from _weights(made, sources, copies, registry, depth)
 
 
-def _file(asked: str, files: list[Path]) -> Item:
-    clip = _harvested_from(files) if asked.startswith("bank ") else {}
-    return Item(
+def _file(asked: str, files: list[Path]) -> Iterator[Item]:
+    """A file that it read; none for a bank of states behind which is nobody's clip."""
+    clips = _clips_of_bank(files) if asked.startswith("bank ") else None
+    if clips == []:
+        return
+    clips = clips or [{"licence": _beside(files)}]
+
+    def of_all(key: str, sign: str) -> str:
+        return sign.join(dict.fromkeys(clip[key] for clip in clips if clip.get(key)))
+
+    licences = [clip.get("licence") or "unknown" for clip in clips]
+    yield Item(
         f"file {Path(asked.partition('=')[2] or asked).name}",
-        words.text(clip.get("licence") or _beside(files)),
-        words.text(clip.get("attribution") or ""),
-        words.text(clip.get("url") or asked),
+        " AND ".join(dict.fromkeys(licences)),
+        of_all("attribution", " "),
+        of_all("url", " ") or asked,
     )
 
 
@@ -198,7 +215,7 @@ def _copies(made: Made) -> dict[str, list[Path]]:
 
 def _clip(clip: Mapping[str, Any], copies: Mapping[str, list[Path]]) -> Item:
     licence = words.text(clip.get("licence") or "unknown")
-    whole = [_beside(files) for asked, files in copies.items() if asked.startswith("motion.file=")]
+    whole = [_beside(files) for asked, files in copies.items() if asked.startswith("motion.")]
     if whole and whole[0] != "unknown" and ("see LICENSE" in licence or licence == "unknown"):
         licence = whole[0]
     return Item(
@@ -206,6 +223,22 @@ def _clip(clip: Mapping[str, Any], copies: Mapping[str, list[Path]]) -> Item:
         licence,
         words.text(clip.get("attribution") or ""),
         words.text(clip.get("url") or "") or Path(words.text(clip.get("source") or "")).name,
+    )
+
+
+def _copied_clip(asked: str, files: list[Path]) -> Item:
+    """A clip of which nothing but its copy is recorded, with the record beside that."""
+    record: Mapping[str, Any] = {}
+    for path in files:
+        if path.name.endswith(_RECORD):
+            with suppress(OSError, ValueError, RecursionError):
+                record = mapping(json.loads(read(path, 2**16)))
+    name = Path(asked).name
+    return Item(
+        f"clip {name}",
+        words.text(record.get("licence") or _beside(files)),
+        words.text(record.get("attribution") or ""),
+        words.text(record.get("url") or "") or name,
     )
 
 
@@ -227,16 +260,16 @@ def _model(
         yield Item(f"model {Path(asked).name}", "unknown")
 
 
-def _harvested_from(files: list[Path]) -> Mapping[str, Any]:
-    """What is known of the clip that a bank's run learned from; nothing where it had none, or is damaged."""
+def _clips_of_bank(files: list[Path]) -> list[dict[str, str]] | None:
+    """The clips behind a bank; None where it does not say, or is damaged."""
     from understudy.records.checkpoint import read_sealed  # and torch, for its tensors
+    from understudy_skills.origins import clips_of_bank
 
     for path in files:
         if path.suffix == ".json":
             with suppress(RunError):
-                about = mapping(mapping(mapping(read_sealed(path)).get("meta")).get("bank"))
-                return mapping(about.get("clip"))
-    return {}
+                return clips_of_bank(mapping(mapping(read_sealed(path)).get("meta")))
+    return None
 
 
 def _beside(files: list[Path]) -> str:
@@ -277,17 +310,23 @@ def _weights(
         inner = _inner(name, files, registry)
         if inner is None and start.get("run") == name and isinstance(start.get("sources"), Mapping):
             inner = Made(name, {"sources": start["sources"], "inputs": {}}, None)
-        if inner is None:
-            yield Item(
-                f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}"
-            )
-        else:
-            known = mapping(inner.info.get("licence")).get("items")  # of a pack
-            whole = items_of(inner, registry) if known else _data(inner, registry, depth - 1)
-            parts = [item for item in whole if not item.what.startswith("code ")]
-            joined = dict.fromkeys(item.licence for item in parts)
-            yield Item(f"weights of {Path(name).name}", " AND ".join(joined) or "unknown")
-            yield from parts
+        yield from _weights_of(name, inner, registry, depth)
+
+
+def _weights_of(name: str, inner: Made | None, registry: Registry, depth: int) -> Iterator[Item]:
+    """The weights of the run or skill `name`, and what the run `inner` says that they were made of."""
+    if inner is None:
+        yield Item(f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}")
+        return
+    known = mapping(inner.info.get("licence")).get("items")  # of a pack
+    whole = items_of(inner, registry) if known else _data(inner, registry, depth - 1)
+    parts = [item for item in whole if not item.what.startswith("code ")]
+    if not parts and (known or {"config", "sources", "inputs"} <= inner.info.keys()):
+        return  # of nobody's but its own maker's, who has this run
+    licence = " AND ".join(dict.fromkeys(item.licence for item in parts))
+    whom = "" if licence else f"understudy licence {name}"
+    yield Item(f"weights of {Path(name).name}", licence or "unknown", source=whom)
+    yield from parts
 
 
 def _inner(name: str, files: list[Path], registry: Registry) -> Made | None:

@@ -252,7 +252,7 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
     path = Path(options.source)
     if path.is_dir():
         learned, reference = recorded_clips(path)
-        refuse_reading(options, options.source, ("up", "skeleton", "source_rate"))
+        refuse_reading(options, options.source, ("up", "skeleton", "source_rate", "angles"))
         if learned is not None and not options.reference:
             licence, attribution = in_a_line(open_made(options.made, registry), registry)
             learned = replace(learned, licence=licence, attribution=attribution)

@@ -246,11 +246,17 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
 def _licence(skill: Skill, source: str) -> dict[str, Any]:
     """On what terms the pack may be used: what `source` was made of, and banks that overrides gave `skill`."""
     made, inputs = open_made(source), skill.experiment.inputs
-    banks = {*inputs.banks} - {*inputs.had} if isinstance(inputs, BankInputs) else set()
-    given = {
-        asked: bank.files(asked.removeprefix("bank ")) for asked in sorted(banks - {*inputs.kept})
-    }
+    asked = inputs.given() if isinstance(inputs, BankInputs) else []
+    given = {a: _files_of(a) for a in asked if a not in inputs.kept}
     return answer(made, more=given)
+
+
+def _files_of(asked: str) -> list[Path]:
+    """The files of a bank or a policy that an override named."""
+    kind, _, path = asked.partition(" ")
+    if kind == "bank":
+        return bank.files(path)
+    return [file] if (file := Path(path)).is_file() else [file / "run.json"]
 
 
 def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | None:
@@ -265,8 +271,12 @@ def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | No
 
 
 def _say_banks(skill: Skill) -> None:
-    """Which banks the pack has, and how much of them."""
+    """Which banks the pack has, and how much of them; and which policies."""
     inputs = skill.experiment.inputs
+    for asked in inputs.policies if isinstance(inputs, BankInputs) else ():
+        _say(
+            f"The pack has the policy of {asked.partition(' ')[2]}, whose weights are as they are."
+        )
     for asked, held in (inputs.banks if isinstance(inputs, BankInputs) else {}).items():
         whole = inputs.sizes.get(asked, len(held)) if isinstance(inputs, BankInputs) else 0
         drawn = f"{len(held)} of the {whole}" if whole > len(held) else f"all {len(held)}"

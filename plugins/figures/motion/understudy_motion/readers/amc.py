@@ -163,6 +163,14 @@ class AmcReader(ClipReader):
             )
 
         stated = figure.degrees if said is None else said
+        if options.angles is not None:
+            given = options.angles == "degrees"
+            if stated not in (None, given):
+                raise FileError(
+                    f"Clip {path}: it says that its angles are in {'degrees' if stated else 'radians'}; leave "
+                    f"motion.angles={options.angles} (--angles) out."
+                )
+            stated = given
         if stated is not None or not may_be_radians(_angles(figure.bones, values)):
             return clip(True if stated is None else stated)
         degrees, radians = clip(True), clip(False)

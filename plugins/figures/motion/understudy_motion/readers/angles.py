@@ -48,7 +48,14 @@ from understudy_motion.readers.text import (
     without_comments,
 )
 from understudy_motion.readers.times import is_plain_time, since_first
-from understudy_motion.reading import HEAD_BYTES, UNSAID, ClipReader, ReadOptions, metres_of
+from understudy_motion.reading import (
+    HEAD_BYTES,
+    UNSAID,
+    AngleUnit,
+    ClipReader,
+    ReadOptions,
+    metres_of,
+)
 from understudy_tensors import rotations
 
 __all__ = ["RATE"]
@@ -57,7 +64,7 @@ RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
 _COUNTED = re.compile(r"([a-z_ :.]{0,20}?)([0-9]{1,4})(?:\.0)?", re.IGNORECASE)
 """The number of a column, perhaps with a word before it."""
-_TURNS, _FAR = 2.0 * np.pi, 50.0
+_TURN, _FAR = 2.0 * np.pi, 50.0
 """rad and m beyond which the unit is another."""
 _ROOT = re.compile(
     r"(?:(?:floating[\W_]*)?(?:root|base|pelvis|free(?:joint)?|global))?[\W_]*"
@@ -120,17 +127,19 @@ class AnglesReader(ClipReader):
         above = None if degrees else _of_remark(raw[:at], len(words))
         named = degrees or _names([lines[at], ""])
         body = lines[at + (named or counted) :]
-        scales = np.ones(len(words))
+        scales, stated = np.ones(len(words)), np.full(len(words), degrees)
         if named and not degrees:
-            scales = np.array([_scale(word) for word in words])
+            scales, stated = np.array([_scale(word) for word in words]), _stated(words)
             words = [_UNIT.sub(r"\1", word) if _UNIT.fullmatch(word) else word for word in words]
         first, cells = _row_below(raw[at + named :], delimiter) if named else (0, [])
         cells += [""] * (len(words) - len(cells))
         if not degrees and len(cells) == len(words) and (units := units_in(cells)):
             scales = np.array([scale_of_unit(unit) for unit in units])
+            stated = np.array([unit in ("deg", "rad") for unit in units])
             body[first] = ""
         if above is not None:  # the names of np.savetxt
-            scales, named = np.array([_scale(word) for word in above]), True
+            scales, stated = np.array([_scale(word) for word in above]), _stated(above)
+            named = True
             words = [_UNIT.sub(r"\1", word) if _UNIT.fullmatch(word) else word for word in above]
         if delimiter != ",":  # which are decimal then
             body = [line.replace(",", ".") for line in body]
@@ -144,16 +153,17 @@ class AnglesReader(ClipReader):
         rate = rate_of(path, said["rate"]) if "rate" in said else RATE
         if named and not degrees:
             kept = _as_read(rows, words)
-            rows, words = rows[:, kept], [words[n] for n in kept]
+            rows, words, stated = rows[:, kept], [words[n] for n in kept], stated[kept]
         by_name = named and (plain_name(words[0]) == "time" or UNREAD.fullmatch(words[0]))
         timed = not degrees and _timed(rows, 8 if by_name else 9)
         if timed:  # by a column of times, s, or of frames' numbers
             rate = options.rate or _rate(path, rows[:, 0], rate)
-            rows, words = rows[:, 1:], words[1:]
+            rows, words, stated = rows[:, 1:], words[1:], stated[1:]
         order = _root_columns(words) if named and not degrees else None
         if order:
             rest = [n for n in range(len(words)) if n not in order]
-            rows, words = rows[:, order + rest], [words[n] for n in order + rest]
+            kept = order + rest
+            rows, words, stated = rows[:, kept], [words[n] for n in kept], stated[kept]
         names = [re.sub("_(dof|joint)$", "", word) for word in words[7:]] if named else [
             str(n + 1) for n in range(len(words) - 7)
         ]  # fmt: skip
@@ -165,6 +175,7 @@ class AnglesReader(ClipReader):
             position, turn, angles = _protomotions(path, rows, unit)
         else:
             position, turn, angles = root_and_angles(path, rows, unit, order is not None)
+        angles, assumed = in_radians(path, angles, names, options.angles, stated[7:])
         return Clip(
             name=path.stem,
             times=torch.arange(len(rows), dtype=torch.float64) / (options.rate or rate),
@@ -172,6 +183,7 @@ class AnglesReader(ClipReader):
             rotations=angle_rotations(turn, angles),
             joint_names=joints,
             loop=bool(options.loop),
+            assumed=assumed,
             **provenance(path, content),
         )
 
@@ -344,6 +356,59 @@ def angle_rotations(turn: np.ndarray, angles: np.ndarray) -> torch.Tensor:
     return torch.cat((torch.from_numpy(turn)[:, None], hinges), dim=1)
 
 
+def in_radians(
+    path: Path,
+    angles: np.ndarray,
+    names: Sequence[str],
+    given: AngleUnit | None,
+    stated: np.ndarray,
+) -> tuple[np.ndarray, bool]:
+    """The `angles` (F, H) of the hinges `names` in rad, and whether they are taken for radians though nothing says so. They are
+    in the `given` unit but where they are `stated` (H,), which have been scaled.
+
+    Raises
+    ------
+    FileError
+        an angle of no known unit is more than a turn; or a unit is given of a file that says it.
+    """
+    if given is not None:
+        if stated.all() and len(stated):
+            raise FileError(
+                f"Clip {path}: it says the unit of its angles; leave motion.angles={given} (--angles) out."
+            )
+        scale = np.where(stated | (given == "radians"), 1.0, np.pi / 180.0)
+        return angles * scale, False
+    if stated.all():
+        return angles, False
+    most = np.where(stated, 0.0, np.abs(angles).max(axis=0, initial=0.0))
+    cure = "give motion.angles=degrees (--angles degrees)"
+    if (swing := float(np.median(most[~stated]))) > _TURN:
+        raise FileError(
+            f"Clip {path}: half of its angles go beyond {swing:.0f} rad, so they seem to be in degrees; write them in "
+            f"radians, or {cure}."
+        )
+    at = np.flatnonzero((most > _TURN) & ~_goes_on(angles))
+    if len(at):
+        raise FileError(
+            f"Clip {path}: its hinge '{names[at[0]]}' turns to {most[at[0]]:.4g}, in radians more than a turn: {cure}, or "
+            "motion.angles=radians if it turns on and on."
+        )
+    return angles, True
+
+
+def _goes_on(angles: np.ndarray) -> np.ndarray:
+    """(H,) of `angles` (F, H) in rad: whether it is the way of a hinge that turns on and on, a frame after the other."""
+    near = np.abs(np.diff(angles, axis=0)).max(axis=0, initial=0.0) < 0.5 * _TURN
+    return near & (np.abs(angles[:1]) <= _TURN).all(axis=0)
+
+
+def _stated(words: Sequence[str]) -> np.ndarray:
+    """Of which columns the name says a unit of angles."""
+    named = [_UNIT.fullmatch(word) for word in words]
+    units = [units_in([match[2] or match[3] or ""]) if match else None for match in named]
+    return np.array([bool(unit) and unit[0] in ("deg", "rad") for unit in units])
+
+
 def root_and_angles(
     path: Path, rows: np.ndarray, unit: float | None, said: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -361,12 +426,6 @@ def root_and_angles(
         raise FileError(
             f"Clip {path}: frame {frame}: columns 4 to 7 are no quaternion; a robot's table without a "
             "header has x, y, z in m, a quaternion as x, y, z, w, then the angles in rad."
-        )
-    swing = float(np.median(np.abs(rows[:, 7:]).max(axis=0))) if rows[:, 7:].size else 0.0
-    if swing > _TURNS:
-        raise FileError(
-            f"Clip {path}: half of its angles go beyond {swing:.0f} rad, so they seem to be in degrees; write them in "
-            "radians."
         )
     if unit is None and len(rows) and (high := float(np.median(np.abs(rows[:, 2])))) > _FAR:
         raise FileError(

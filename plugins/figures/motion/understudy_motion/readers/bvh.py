@@ -33,6 +33,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
@@ -147,6 +148,7 @@ _PARTS = {"ms": 1e3, "mil": 1e3, "us": 1e6, "µs": 1e6, "mic": 1e6}
 class BvhReader(ClipReader):
     """Reads BVH."""
 
+    fixed = MappingProxyType({"skeleton": None})
     suffixes = (".bvh",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
@@ -184,6 +186,10 @@ class BvhReader(ClipReader):
             )
 
         rate = options.rate or 1.0 / interval
+        if options.angles is not None:
+            turned = options.angles == "radians"
+            bones = _figure(path, joints, values, np.degrees(1.0)) if turned else bones
+            return clip(bones, *_recognised(path, bones, options))
         if not may_be_radians(np.concatenate([bone.angles.ravel() for bone in bones])):
             return clip(bones, *_recognised(path, bones, options))
         wide = _figure(path, joints, values, np.degrees(1.0))

@@ -86,7 +86,9 @@ LOOPS = {"wrap": True, "none": False}
 class DeepMimicReader(ClipReader):
     """Reads DeepMimic's JSON."""
 
-    fixed = MappingProxyType({"unit": "m", "up": "y", "rate": None, "skeleton": None})
+    fixed = MappingProxyType(
+        {"unit": "m", "up": "y", "rate": None, "skeleton": None, "angles": None}
+    )
     suffixes = (".txt", ".json")
 
     def recognises(self, head: bytes, path: Path) -> bool:

@@ -23,7 +23,7 @@ from understudy.errors import FileError
 from understudy_motion.clip import ANGLE, Clip
 from understudy_motion.limits import check_counts, check_size
 from understudy_motion.origin import provenance
-from understudy_motion.readers.angles import angle_rotations, root_and_angles
+from understudy_motion.readers.angles import angle_rotations, in_radians, root_and_angles
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.readers.text import LARGEST
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of, no_rate
@@ -86,6 +86,8 @@ class RobotNpzReader(ClipReader):
         check_size(path, len(rows), joints)
         unit = options.unit and metres_of(options.unit)
         position, turn, angles = root_and_angles(path, rows, unit, whole)
+        unsaid = np.zeros(len(names), bool)
+        angles, assumed = in_radians(path, angles, names, options.angles, unsaid)
         rate = options.rate or self._rate(path, archive)
         return Clip(
             name=path.stem,
@@ -94,6 +96,7 @@ class RobotNpzReader(ClipReader):
             rotations=angle_rotations(turn, angles),
             joint_names=joints,
             loop=bool(options.loop),
+            assumed=assumed,
             **provenance(path, archive.content),
         )
 

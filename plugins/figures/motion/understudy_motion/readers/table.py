@@ -73,7 +73,9 @@ _FEWEST = 6
 class NpzReader(ClipReader):
     """Reads this product's NPZ."""
 
-    fixed = MappingProxyType({"unit": "m", "up": "z", "rate": None, "skeleton": None})
+    fixed = MappingProxyType(
+        {"unit": "m", "up": "z", "rate": None, "skeleton": None, "angles": None}
+    )
     suffixes = (".npz",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
@@ -121,7 +123,7 @@ def _skeleton(path: Path, archive: Archive, joint_names: tuple[str, ...]) -> Ske
 class CsvReader(ClipReader):
     """Reads a table of named columns."""
 
-    fixed = MappingProxyType({"up": "z", "skeleton": None})
+    fixed = MappingProxyType({"up": "z", "skeleton": None, "angles": None})
     suffixes = (".csv",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
