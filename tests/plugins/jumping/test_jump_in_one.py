@@ -18,6 +18,7 @@ from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_skills import bank
+from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.skill import open_skill
 from understudy_tensors import rotations
 
@@ -73,7 +74,7 @@ def test_a_pack_of_both_plays_both(
     text = file.read_text()
     assert str(runs) not in text, "no folder of its makers"
     inputs = open_skill(str(file)).experiment.inputs
-    assert isinstance(inputs, bank.BankInputs)
+    assert isinstance(inputs, PackInputs)
     assert {*inputs.policies} == {"controller run_up", "controller jump"}
     assert {*inputs.banks} == {"bank end"}
     capsys.readouterr()

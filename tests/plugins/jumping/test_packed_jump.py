@@ -16,6 +16,7 @@ from understudy.setup.composition import load_experiment
 from understudy_play.command import record
 from understudy_play.player import Player
 from understudy_skills import bank
+from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.skill import open_skill
 
 TINY = (
@@ -54,7 +55,7 @@ def test_it_begins_in_the_states_of_its_bank(
     try:
         joints = player.shown()["qpos"][7:]
         inputs = skill.experiment.inputs
-        assert isinstance(inputs, bank.BankInputs)
+        assert isinstance(inputs, PackInputs)
         held = inputs.banks["bank ends"].states["qpos"][:: bank.HELD_OUT, 7:]
         assert float((held - joints).abs().amax(dim=1).min()) < 1e-6
     finally:

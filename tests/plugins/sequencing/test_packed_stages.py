@@ -15,7 +15,7 @@ from understudy.command.cli import main
 from understudy.errors import RunError
 from understudy.records import checkpoint
 from understudy_play.player import Player
-from understudy_skills.bank import BankInputs
+from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.skill import open_skill
 
 
@@ -107,7 +107,7 @@ def test_another_policy_is_put_in_the_place_of_one(
     given = words(built_on / "sleeve", "second.json")
     assert main(["play", str(packed), given, "--pack", str(file)]) == 0
     inputs = open_skill(str(file)).experiment.inputs
-    assert isinstance(inputs, BankInputs)
+    assert isinstance(inputs, PackInputs)
     assert {*inputs.policies} == {"controller sleeve", "controller second.json"}
     assert str(built_on) not in file.read_text()
     assert main(["licence", str(file)]) == 0, "all three learned from nothing that is somebody's"

@@ -15,6 +15,7 @@ from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy_skills import folder, skill
 from understudy_skills.folder import run_folder
+from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.skill import open_skill
 
 
@@ -122,24 +123,26 @@ def test_a_run_stays_as_it_is(packed: Path) -> None:
     assert run_folder(str(packed.parent / "run")) == str(packed.parent / "run")
 
 
-def test_what_another_run_learned_is_not_packed(built_on: Path) -> None:
-    """But for a policy that acts inside, which is known once it was built; what a training began with, or a job took, is
-    not read again."""
-    opened = open_skill(str(built_on / "sleeve"))
+def test_what_is_read_of_another_run_by_no_name_is_not_packed(built_on: Path) -> None:
+    """But for what its parts asked for; what a training began with, or a job took, is not read again."""
+    opened = skill.gathering(open_skill(str(built_on / "sleeve")))
     run, config = str(built_on / "go"), dict(opened.card["config"])
 
-    def refuse(part: str, options: dict[str, Any], *, judged: bool = False) -> None:
+    def refuse(part: str, options: dict[str, Any]) -> None:
         own = {**opened.card, "config": {**config, part: options}}
-        skill.refuse_of_others(dataclasses.replace(opened, card=own), judged=judged)
+        skill.refuse_of_others(dataclasses.replace(opened, card=own))
 
     for key in ("start", "job"):
-        refuse(key, {"run": run}, judged=True)
+        refuse(key, {"run": run})
     with pytest.raises(ConfigError, match=r"reward\.terms\.style\.runs\.0=.* Override it"):
         refuse("reward", {"terms": {"style": {"runs": [run]}}})
     stages = {"stages": [{"run": run}]}
-    refuse("actuation", stages)
     with pytest.raises(ConfigError, match=r"actuation\.stages\.0\.run=.* Pass on the run folder"):
-        refuse("actuation", stages, judged=True)
+        refuse("actuation", stages)
+    inputs = opened.experiment.inputs
+    assert isinstance(inputs, PackInputs)
+    inputs.asked.add(f"features {run}")
+    refuse("actuation", stages)
 
 
 def test_nothing_names_no_run() -> None:

@@ -19,7 +19,7 @@ from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy_play.player import Player
 from understudy_skills import bank
-from understudy_skills.bank import BankInputs, Held
+from understudy_skills.pack_inputs import Held, PackInputs
 from understudy_skills.skill import open_skill
 
 OWN = "initial_states={name: miniature/somewhere, drag: [0.5, 2.0]}"
@@ -84,7 +84,7 @@ def test_a_pack_begins_where_its_run_did(
         assert found["success_rate"] == packed["success_rate"], "what was judged is what is there"
         assert found["measures"] == packed["measures"]
         held = opened.experiment.inputs
-        assert isinstance(held, BankInputs)
+        assert isinstance(held, PackInputs)
         starts = held.banks["bank ends"].states
         player = Player(opened)
         for name in player.environment.parts.simulator.state_fields:
@@ -129,7 +129,7 @@ def test_other_starts_need_no_bank(
 
 
 def test_what_is_drawn_is_even_and_keeps_apart_what_evaluations_have() -> None:
-    inputs = BankInputs.gathering(Inputs())
+    inputs = PackInputs.gathering(Inputs())
     rows = torch.arange(1000)
     held = inputs.bank("bank it", lambda: Held({"row": rows, "half": 0.5 * rows}, {"half": "its"}))
     found = held.states["row"]
@@ -149,7 +149,7 @@ def test_what_is_drawn_is_even_and_keeps_apart_what_evaluations_have() -> None:
 
 
 def test_large_states_are_fewer_or_none() -> None:
-    inputs = BankInputs.gathering(Inputs())
+    inputs = PackInputs.gathering(Inputs())
     wide = Held({"cloth": torch.zeros(100, 2**18)})  # a MiB each
     assert len(inputs.bank("bank wide", lambda: wide)) == 8
     vast = Held({"cloth": torch.zeros(3, 2**21)})

@@ -18,7 +18,7 @@ from understudy.setup.config import Chosen
 from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Wired, renamed
 from understudy_reinforcement.policy import build_policy
-from understudy_skills.bank import PACKED, BankInputs
+from understudy_skills.pack_inputs import PACKED, PackInputs
 from understudy_skills.skill import Skill, copy_run, open_skill
 
 __all__ = ["Controller"]
@@ -109,7 +109,7 @@ class Controller(nn.Module):
             )
 
         # It acts on this task's simulator.
-        skill = inputs.policy(asked, find) if isinstance(inputs, BankInputs) else find()
+        skill = inputs.policy(asked, find) if isinstance(inputs, PackInputs) else find()
         experiment = skill.experiment
         control = experiment.root.control
         periods = max(1, round(1.0 / (control.frequency * context.control_dt))) if slower else 1

@@ -4,19 +4,17 @@ and finished runs."""
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
@@ -32,13 +30,26 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
 from understudy_reinforcement.policy import Policy, build_policy
 from understudy_skills import bank
-from understudy_skills.bank import BankInputs
+from understudy_skills.pack_inputs import (
+    MOST_POLICIES,
+    Held,
+    PackInputs,
+    files_as_state,
+    files_of_state,
+)
+from understudy_skills.packing import (
+    names_within,
+    of_no_folder,
+    packed_tensor,
+    renamed,
+    renamed_in,
+    unpacked,
+    words_in,
+)
 
 __all__ = [
-    "BITS",
     "Skill",
     "gathering",
-    "is_left_over",
     "names",
     "open_skill",
     "pack",
@@ -49,23 +60,15 @@ __all__ = [
     "with_own_starts",
 ]
 
-#: That a packed weight may have. With 32 nothing is rounded.
-BITS = (8, 16, 32)
-_INTEGERS = {8: torch.int8, 16: torch.int16}
-_SCALES = (torch.float32, torch.float64)
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 #: What of a run acts inside another task.
 _ACTING = re.compile(r"(encoder|actuation|policy)\b")
-#: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
-_OF_NO_RUN = ("clip ", "mjcf ")
 #: What of a run a policy that acts inside another task has no use for.
 _NOT_OF_CONTROLLERS = (
     "simulator", "initial_states", "reward", "termination", "measure", "curriculum", "learner", "job", "start",
     "evaluation", "outer_loop", "executor",
 )  # fmt: skip
-#: An option that takes a run, not its bank.
-_RUN = re.compile(r"(^|\.)runs?(\.\d+)*$")
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ class Skill:
         reads; and, with their numbers as they are, the policies that act inside it. Of one that is `inside`, the card has what
         a controller is built of. No name is of its makers' folders."""
         kept = {k: v for k, v in self.policy.items() if ".critic." not in f".{k}"}
-        state: dict[str, Any] = {"policy": {k: _packed_tensor(v, bits) for k, v in kept.items()}}
+        state: dict[str, Any] = {"policy": {k: packed_tensor(v, bits) for k, v in kept.items()}}
         card, inputs = dict(self.card), self.experiment.inputs
         if inside:
             known = {key: card.get(key) for key in ("samples", "versions", "sources")}
@@ -121,19 +124,22 @@ class Skill:
             found = (card.get("sources") or {}).get(of, {})
             if isinstance(path_of := found.get(where), str):
                 card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
-        banks = inputs.banks if isinstance(inputs, BankInputs) else {}
-        policies = inputs.policies if isinstance(inputs, BankInputs) else {}
-        paths = dict.fromkeys(asked.partition(" ")[2] for asked in (*banks, *policies))
-        names = _names_within([*paths], card.get("overrides"))
-        config = _renamed(dict(card["config"]), names)
+        banks, policies, files = dict[str, Held](), dict[str, Skill](), dict[str, Any]()
+        if isinstance(inputs, PackInputs):
+            banks, policies, files = inputs.banks, inputs.policies, inputs.carried()
+        paths = {asked: asked.partition(" ")[2] for asked in (*banks, *policies)}
+        for _, word in words_in(card["config"]):
+            paths |= {asked: word for asked in files if _asks_for(asked, word)}
+        names = names_within([*dict.fromkeys(paths.values())], card.get("overrides"))
+        config = renamed(dict(card["config"]), names)
         if names and card.get("overrides") is not None:
-            card["overrides"] = [_renamed_in(word, names) for word in card["overrides"]]
+            card["overrides"] = [renamed_in(word, names) for word in card["overrides"]]
         if isinstance(licence := card.get("licence"), Mapping):
-            card["licence"] = {**licence, "items": [_of_no_folder(i) for i in licence["items"]]}
+            card["licence"] = {**licence, "items": [of_no_folder(i) for i in licence["items"]]}
         config["run"] = {**config.get("run", {}), "dir": None}
 
         def within(asked: str) -> str:
-            path = asked.partition(" ")[2]
+            path = paths.get(asked, "")
             return names.get(path, path)
 
         if banks:
@@ -142,6 +148,9 @@ class Skill:
             inner = {within(a): skill.packed(inside=True) for a, skill in policies.items()}
             state["policies"] = {name: own for name, (own, _) in inner.items()}
             card["policies"] = {name: own for name, (_, own) in inner.items()}
+        if files:
+            as_asked = {a.removesuffix(paths.get(a, "")) + within(a): f for a, f in files.items()}
+            state["files"] = files_as_state(as_asked)
         return state, {**card, "config": config}
 
     def whole(self) -> dict[str, Tensor]:
@@ -292,13 +301,13 @@ def _packed(
 
 
 def _made_of(
-    path: Path, name: str, state: Mapping[str, Any], card: Mapping[str, Any], inputs: BankInputs,
+    path: Path, name: str, state: Mapping[str, Any], card: Mapping[str, Any], inputs: PackInputs,
     registry: Registry, without: Collection[str],
 ) -> Skill:  # fmt: skip
     """The skill of what the packed file `path` has, whoever wrote that."""
     _check_card(card, path)
     try:
-        tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
+        tensors = {key: unpacked(value) for key, value in state["policy"].items()}
         experiment = replace(validate(_less(card["config"], without), registry), inputs=inputs)
     except ConfigError:
         raise
@@ -307,7 +316,7 @@ def _made_of(
     return Skill(name, experiment, tensors, card["samples"], card)
 
 
-def _loaded(path: Path, registry: Registry) -> tuple[dict[str, Any], dict[str, Any], BankInputs]:
+def _loaded(path: Path, registry: Registry) -> tuple[dict[str, Any], dict[str, Any], PackInputs]:
     """What a packed skill's files have, and the banks and policies within."""
     state, card = checkpoint.load(path)
     inputs = _inputs_of(path, state, card, registry, [])
@@ -316,21 +325,22 @@ def _loaded(path: Path, registry: Registry) -> tuple[dict[str, Any], dict[str, A
 
 def _inputs_of(
     path: Path, state: Any, card: Any, registry: Registry, seen: list[str]
-) -> BankInputs:  # fmt: skip
+) -> PackInputs:  # fmt: skip
     """The banks and policies of the packed skill `path`, whoever wrote it; `seen` are the names of all policies so far."""
     wrong = f"{path} is no packed skill"
     if not isinstance(state, Mapping) or not isinstance(card, Mapping):
         raise RunError(f"{wrong}: a policy of it is none.")
     try:
         banks = bank.of_state(state.get("banks", {}))
+        files = files_of_state(state.get("files", []))
     except ValueError as error:
         raise RunError(f"{wrong}: {error}.") from error
     states, cards = state.get("policies", {}), card.get("policies", {})
     if not isinstance(states, Mapping) or not isinstance(cards, Mapping) or {*states} != {*cards}:
         raise RunError(f"{wrong}: its policies are none, or not those of its card.")
     seen += states
-    if len(seen) > bank.MOST_POLICIES:
-        raise RunError(f"{wrong}: it has more than {bank.MOST_POLICIES} policies inside.")
+    if len(seen) > MOST_POLICIES:
+        raise RunError(f"{wrong}: it has more than {MOST_POLICIES} policies inside.")
     policies = dict[str, Skill]()
     for name, own in states.items():
         inputs = _inputs_of(path, own, cards[name], registry, seen)
@@ -339,7 +349,7 @@ def _inputs_of(
             path, name, own, inner, inputs, registry, _NOT_OF_CONTROLLERS
         )
     held = {f"bank {name}": states for name, states in banks.items()}
-    return BankInputs(banks=held, policies=policies)
+    return PackInputs(banks=held, policies=policies, files=files)
 
 
 def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
@@ -356,39 +366,32 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
 
 def gathering(skill: Skill) -> Skill:
     """`skill`, whose task is read with the banks and policies that :func:`pack` will write."""
-    inputs = BankInputs.gathering(skill.experiment.inputs)
+    inputs = PackInputs.gathering(skill.experiment.inputs)
     return replace(skill, experiment=replace(skill.experiment, inputs=inputs))
 
 
-def refuse_of_others(skill: Skill, *, judged: bool = False) -> None:
-    """Refuse to pack `skill` if its task reads what another run left, but for banks of states and policies that act inside it.
-    What its training began with (``start.run``), or its job read, is not needed any more. Once it was `judged`, the banks
-    and policies are known.
+def refuse_of_others(skill: Skill) -> None:
+    """Refuse to pack `skill`, which was judged (:func:`gathering`), if its task reads of another run what no pack has: what it did
+    not ask for as a bank, a policy that acts inside it, or a file. What its training began with (``start.run``), or its job
+    read, is not needed any more.
 
     Raises
     ------
     ConfigError
         it does; the error says what to override.
     """
-    _refuse(skill, judged, "")
+    _refuse(skill, "")
 
 
-def _refuse(skill: Skill, judged: bool, inside: str) -> None:
+def _refuse(skill: Skill, inside: str) -> None:
     """As :func:`refuse_of_others`, of the policy `inside` another, too, of which only :data:`_ACTING` counts."""
     inputs = skill.experiment.inputs
-    gathered = inputs if isinstance(inputs, BankInputs) else BankInputs()
-    banks, policies = {*inputs.kept, *gathered.banks}, {*inputs.kept, *gathered.policies}
-    left = [a for a in inputs.kept if not a.startswith((*_OF_NO_RUN, "bank ", "controller "))]
-    for key, value in _words_in(skill.card["config"]):
+    had = inputs if isinstance(inputs, PackInputs) else PackInputs()
+    asked = {*had.banks, *had.policies, *had.asked}
+    for key, value in words_in(skill.card["config"]):
         if _OF_THE_RUN.match(key) or key.startswith("job.") or (inside and not _ACTING.match(key)):
             continue
-        held = f"bank {value}" in banks and not _RUN.search(key)
-        held |= f"controller {value}" in policies
-        here = (Path(value) / "run.json").is_file() and not held
-        if here and not judged:  # it may be a bank, or act inside the task, which is known then
-            run = _RUN.search(key)
-            here = not (key.startswith("actuation.") if run else bank.files(value)[0].is_file())
-        if here or any(a.endswith(f" {value}") for a in left):
+        if (Path(value) / "run.json").is_file() and not any(_asks_for(a, value) for a in asked):
             cure = (
                 "Override it, for example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and "
                 "played with that."
@@ -398,20 +401,15 @@ def _refuse(skill: Skill, judged: bool, inside: str) -> None:
             ):  # without it it does something else, or nothing
                 cure = "Pass on the run folder, which has a copy of it."
             raise ConfigError(
-                f"--pack: {inside}{key}={value} is another run's, and a pack has policies and banks of states alone. {cure}"
+                f"--pack: {inside}{key}={value} is another run's, and what is read of it no pack has. {cure}"
             )
-    for asked, inner in gathered.policies.items():
-        _refuse(inner, judged, f"{inside}{asked.partition(' ')[2]}: ")
+    for name, inner in had.policies.items():
+        _refuse(inner, f"{inside}{name.partition(' ')[2]}: ")
 
 
-def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """The words of a configuration, each with its key path."""
-    if isinstance(value, str):
-        yield key, value
-    elif isinstance(value, Mapping | list | tuple):
-        inner = value.items() if isinstance(value, Mapping) else enumerate(value)
-        for name, part in inner:
-            yield from _words_in(part, f"{key}.{name}".lstrip("."))
+def _asks_for(asked: str, word: str) -> bool:
+    """Whether the word of a configuration is the path, or name, of what was asked for."""
+    return asked.endswith((f" {word}", f"={word}"))
 
 
 def with_own_starts(
@@ -482,57 +480,6 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8)
         for ending in endings:
             with contextlib.suppress(OSError):  # it is there only if that did not end
                 made.with_name(made.name + ending).unlink()
-
-
-def _names_within(paths: Sequence[str], overrides: Any) -> dict[str, str]:
-    """By the path of a bank or run its name in a pack, of no one's folders, where the words that made the skill can say so, if
-    there are any."""
-    found = dict[str, str]()
-    for path in paths:
-        tries = itertools.chain([""], (f"-{number}" for number in itertools.count(2)))
-        name = next(
-            n for end in tries if (n := (Path(path).name or "it") + end) not in found.values()
-        )
-        words = overrides if isinstance(overrides, list) else None
-        if words is None or any(_renamed_in(word, {path: f"{name} "}) != word for word in words):
-            found[path] = name
-    return found
-
-
-def _of_no_folder(item: Mapping[str, Any]) -> dict[str, Any]:
-    """An item of a licence, whose source may name a bank or run of its makers."""
-    kind, _, path = str(item.get("source", "")).rpartition(" ")
-    own = kind in ("bank", "controller", "understudy licence")
-    return {**item, "source": f"{kind} {Path(path).name}"} if own else dict(item)
-
-
-def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """A configuration with the words of `names` replaced."""
-    if isinstance(value, Mapping):
-        return {key: _renamed(part, names) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_renamed(part, names) for part in value]
-    return names.get(value, value) if isinstance(value, str) else value
-
-
-def _renamed_in(override: str, names: Mapping[str, str]) -> str:
-    """An override with the paths of `names` replaced where they stand by themselves."""
-    for old in sorted(names, key=len, reverse=True):
-        alone = rf"(?<![\w./-]){re.escape(old)}(?![\w./-])"
-        override = re.sub(alone, lambda _, new=names[old]: new, override)
-    return override
-
-
-def is_left_over(file: Path) -> bool:
-    """Whether `file` has the tensors of a pack that was killed before it had a card, without which they are useless."""
-    if file.with_suffix(".json").exists():
-        return False
-    try:
-        with safe_open(file, "pt") as tensors:
-            parts = ("policy/", "policies/", "banks/")
-            return all(name.startswith(parts) for name in tensors.keys())  # noqa: SIM118 - no mapping
-    except (OSError, SafetensorError):
-        return False
 
 
 def unpack(skill: Skill, path: Path) -> None:
@@ -617,25 +564,5 @@ def copy_run(source: str, folder: Path) -> None:
 
 def rounded(skill: Skill, bits: int = 8) -> Skill:
     """`skill` as packing with so many `bits` per weight makes it, so that what is judged is what ships."""
-    tensors = {k: _unpacked(_packed_tensor(v, bits)) for k, v in skill.policy.items()}
+    tensors = {k: unpacked(packed_tensor(v, bits)) for k, v in skill.policy.items()}
     return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)
-
-
-def _packed_tensor(value: Tensor, bits: int) -> Tensor | dict[str, Tensor]:
-    if value.ndim != 2 or bits == max(BITS):
-        return value
-    integer = _INTEGERS[bits]
-    # of each row the largest weight is the largest integer
-    scale = value.abs().amax(dim=1).clamp(min=1e-12) / torch.iinfo(integer).max
-    return {"rows": (value / scale[:, None]).round().to(integer), "scale": scale}
-
-
-def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:
-    if isinstance(value, Tensor):
-        return value
-    rows, scale = value["rows"], value["scale"]
-    if rows.ndim != 2 or scale.shape != rows.shape[:1]:
-        raise ValueError(f"{tuple(scale.shape)} scales do not fit {tuple(rows.shape)} weights")
-    if rows.dtype not in _INTEGERS.values() or scale.dtype not in _SCALES:
-        raise ValueError(f"weights of {rows.dtype} by scales of {scale.dtype}")
-    return rows.float() * scale[:, None]

@@ -24,13 +24,12 @@ from understudy_reinforcement.long_work import LongWork
 from understudy_report.values import mapping, number
 from understudy_report.video import length, video_file, write_video
 from understudy_skills import bank
-from understudy_skills.bank import BankInputs
+from understudy_skills.pack_inputs import PackInputs
+from understudy_skills.packing import BITS, is_left_over
 from understudy_skills.rounding import Rounding, enough_bits, judged
 from understudy_skills.skill import (
-    BITS,
     Skill,
     gathering,
-    is_left_over,
     names,
     open_skill,
     pack,
@@ -129,7 +128,6 @@ class Play(Command):
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
             skill = gathering(skill)
-            refuse_of_others(skill)
             licence = _licence(skill, options.skill)
             skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options)
@@ -233,7 +231,7 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
         found = rounding.evaluation
     else:  # the pack's starts may be easier: its card tells of these
         found = judged(rounded(skill, rounding.bits), skill.experiment)
-    refuse_of_others(skill, judged=True)
+    refuse_of_others(skill)
     _say_banks(skill)
     licence = _licence(skill, options.skill)  # again: now its banks are known
     card = {**skill.card, "weights": rounding.as_json(), "licence": licence}
@@ -246,7 +244,7 @@ def _pack(skill: Skill, options: argparse.Namespace) -> int:
 def _licence(skill: Skill, source: str) -> dict[str, Any]:
     """On what terms the pack may be used: what `source` was made of, and banks that overrides gave `skill`."""
     made, inputs = open_made(source), skill.experiment.inputs
-    asked = inputs.given() if isinstance(inputs, BankInputs) else []
+    asked = inputs.given() if isinstance(inputs, PackInputs) else []
     given = {a: _files_of(a) for a in asked if a not in inputs.kept}
     return answer(made, more=given)
 
@@ -271,17 +269,20 @@ def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | No
 
 
 def _say_banks(skill: Skill) -> None:
-    """Which banks the pack has, and how much of them; and which policies."""
+    """Which policies and other files the pack has, and which banks, and how much of them."""
     inputs = skill.experiment.inputs
-    for asked in inputs.policies if isinstance(inputs, BankInputs) else ():
+    for asked in inputs.policies if isinstance(inputs, PackInputs) else ():
         _say(
             f"The pack has the policy of {asked.partition(' ')[2]}, whose weights are as they are."
         )
-    for asked, held in (inputs.banks if isinstance(inputs, BankInputs) else {}).items():
-        whole = inputs.sizes.get(asked, len(held)) if isinstance(inputs, BankInputs) else 0
+    for asked, held in (inputs.banks if isinstance(inputs, PackInputs) else {}).items():
+        whole = inputs.sizes.get(asked, len(held)) if isinstance(inputs, PackInputs) else 0
         drawn = f"{len(held)} of the {whole}" if whole > len(held) else f"all {len(held)}"
         evenly = ", drawn evenly, and is judged from these" if whole > len(held) else ""
         _say(f"The pack has {drawn} states of the {asked}{evenly}.")
+    for asked, files in (inputs.carried() if isinstance(inputs, PackInputs) else {}).items():
+        size = sum(map(len, files.values()))
+        _say(f"The pack has a copy of {asked}, {size / 1000:,.0f} kB.")
 
 
 def _say(line: str) -> None:

@@ -1,0 +1,113 @@
+"""How a pack writes what it has: weights in few bits, and names of no one's folders."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+__all__ = [
+    "BITS",
+    "is_left_over",
+    "names_within",
+    "of_no_folder",
+    "packed_tensor",
+    "renamed",
+    "renamed_in",
+    "unpacked",
+    "words_in",
+]
+
+#: That a packed weight may have. With 32 nothing is rounded.
+BITS = (8, 16, 32)
+_INTEGERS = {8: torch.int8, 16: torch.int16}
+_SCALES = (torch.float32, torch.float64)
+
+
+def words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """The words of a configuration, each with its key path."""
+    if isinstance(value, str):
+        yield key, value
+    elif isinstance(value, Mapping | list | tuple):
+        inner = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for name, part in inner:
+            yield from words_in(part, f"{key}.{name}".lstrip("."))
+
+
+def names_within(paths: Sequence[str], overrides: Any) -> dict[str, str]:
+    """By the path of a bank or run its name in a pack, of no one's folders, where the words that made the skill can say so, if
+    there are any."""
+    found = dict[str, str]()
+    for path in paths:
+        tries = itertools.chain([""], (f"-{number}" for number in itertools.count(2)))
+        name = next(
+            n for end in tries if (n := (Path(path).name or "it") + end) not in found.values()
+        )
+        words = overrides if isinstance(overrides, list) else None
+        if words is None or any(renamed_in(word, {path: f"{name} "}) != word for word in words):
+            found[path] = name
+    return found
+
+
+def of_no_folder(item: Mapping[str, Any]) -> dict[str, Any]:
+    """An item of a licence, whose source may name a bank or run of its makers."""
+    kind, _, path = str(item.get("source", "")).rpartition(" ")
+    own = kind in ("bank", "controller", "understudy licence")
+    return {**item, "source": f"{kind} {Path(path).name}"} if own else dict(item)
+
+
+def renamed(value: Any, names: Mapping[str, str]) -> Any:
+    """A configuration with the words of `names` replaced."""
+    if isinstance(value, Mapping):
+        return {key: renamed(part, names) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [renamed(part, names) for part in value]
+    return names.get(value, value) if isinstance(value, str) else value
+
+
+def renamed_in(override: str, names: Mapping[str, str]) -> str:
+    """An override with the paths of `names` replaced where they stand by themselves."""
+    for old in sorted(names, key=len, reverse=True):
+        alone = rf"(?<![\w./-]){re.escape(old)}(?![\w./-])"
+        override = re.sub(alone, lambda _, new=names[old]: new, override)
+    return override
+
+
+def is_left_over(file: Path) -> bool:
+    """Whether `file` has the tensors of a pack that was killed before it had a card, without which they are useless."""
+    if file.with_suffix(".json").exists():
+        return False
+    try:
+        with safe_open(file, "pt") as tensors:
+            parts = ("policy/", "policies/", "banks/", "files/")
+            return all(name.startswith(parts) for name in tensors.keys())  # noqa: SIM118 - no mapping
+    except (OSError, SafetensorError):
+        return False
+
+
+def packed_tensor(value: Tensor, bits: int) -> Tensor | dict[str, Tensor]:
+    """A matrix as whole numbers of so many `bits` and a scale a row; anything else as it is."""
+    if value.ndim != 2 or bits == max(BITS):
+        return value
+    integer = _INTEGERS[bits]
+    # of each row the largest weight is the largest integer
+    scale = value.abs().amax(dim=1).clamp(min=1e-12) / torch.iinfo(integer).max
+    return {"rows": (value / scale[:, None]).round().to(integer), "scale": scale}
+
+
+def unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:
+    """What :func:`packed_tensor` was given, but for rounding; a ValueError if it did not make this."""
+    if isinstance(value, Tensor):
+        return value
+    rows, scale = value["rows"], value["scale"]
+    if rows.ndim != 2 or scale.shape != rows.shape[:1]:
+        raise ValueError(f"{tuple(scale.shape)} scales do not fit {tuple(rows.shape)} weights")
+    if rows.dtype not in _INTEGERS.values() or scale.dtype not in _SCALES:
+        raise ValueError(f"weights of {rows.dtype} by scales of {scale.dtype}")
+    return rows.float() * scale[:, None]

@@ -1,0 +1,143 @@
+"""Files that a task reads and that are no clips or models go along in a pack: what is written is what is read, whoever wrote it."""
+
+from __future__ import annotations
+
+import gc
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from understudy.errors import ConfigError
+from understudy.inputs import Inputs
+from understudy_skills.pack_inputs import (
+    MOST_FILE_BYTES,
+    MOST_FILES,
+    PackInputs,
+    files_as_state,
+    files_of_state,
+)
+
+ASKED = "features runs/encoder"
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> PackInputs:
+    """What gathers, and was asked for a folder of three files, a clip and a model."""
+    folder = tmp_path / "encoder"
+    (folder / "checkpoints").mkdir(parents=True)
+    for name, content in {
+        "run.json": b"{}",
+        "checkpoints/1 (a).bin": b"\0\1",
+        "empty": b"",
+    }.items():
+        (folder / name).write_bytes(content)
+    inputs = PackInputs.gathering(Inputs())
+    names = ("run.json", "checkpoints/1 (a).bin", "empty")
+    inputs.file(ASKED, lambda: [folder / name for name in names])
+    for other in ("clip walk", "mjcf robot.xml"):
+        inputs.file(other, lambda: [folder / "run.json"])
+    return inputs
+
+
+def test_files_are_read_as_they_were_written(read: PackInputs, tmp_path: Path) -> None:
+    carried = read.carried()
+    assert {a: list(files) for a, files in carried.items()} == {
+        ASKED: ["run.json", "checkpoints/1 (a).bin", "empty"]
+    }
+    pack = PackInputs(files=files_of_state(files_as_state(carried)))
+
+    def find() -> list[Path]:
+        raise AssertionError("the pack has it")
+
+    first = pack.file(ASKED, find)
+    assert first.read_bytes() == b"{}"
+    assert (first.parent / "checkpoints" / "1 (a).bin").read_bytes() == b"\0\1"
+    assert pack.folder_of(ASKED, Path("else"), lambda folder: None) == first.parent
+    again = PackInputs.gathering(pack)
+    assert again.file(ASKED, find) == first
+    assert again.carried() == carried, "a pack of a pack"
+    kept = pack.copy(tmp_path / "run")
+    assert [*kept[ASKED]] == ["1/run.json", "1/checkpoints/1 (a).bin", "1/empty"]
+    assert pack.file(ASKED, find) == tmp_path / "run" / "1" / "run.json"
+
+
+def test_nothing_of_it_stays_behind(read: PackInputs) -> None:
+    pack = PackInputs(files=files_of_state(files_as_state(read.carried())))
+    place = pack.file(ASKED, list).parents[1]
+    assert place.is_dir()
+    del pack
+    gc.collect()
+    assert not place.exists()
+
+
+def test_what_a_run_keeps_is_carried_and_only_what_is_read(tmp_path: Path) -> None:
+    for name in ("1/grip.json", "2/other.json"):
+        (tmp_path / "inputs" / name).parent.mkdir(parents=True)
+        (tmp_path / "inputs" / name).write_bytes(name.encode())
+    source = Inputs()
+    source.file("grip.file=a.json", lambda: [tmp_path / "inputs" / "1" / "grip.json"])
+    source.file("room.file=b.json", lambda: [tmp_path / "inputs" / "2" / "other.json"])
+    source.copy(tmp_path / "run")
+    again = PackInputs.gathering(source)
+    again.file("grip.file=a.json", list)
+    assert again.carried() == {"grip.file=a.json": {"grip.json": b"1/grip.json"}}
+
+
+def test_a_file_of_a_strange_name_gets_a_plain_one(tmp_path: Path) -> None:
+    file = tmp_path / ".günther's grip?.json"
+    file.write_bytes(b"{}")
+    inputs = PackInputs.gathering(Inputs())
+    inputs.file("grip.file=x", lambda: [file])
+    carried = inputs.carried()
+    assert files_of_state(files_as_state(carried)) == carried
+    assert list(carried["grip.file=x"]) == ["_günther_s grip_.json"]
+
+
+def test_what_is_too_large_is_said(tmp_path: Path) -> None:
+    (tmp_path / "mesh.obj").write_bytes(bytes(MOST_FILE_BYTES + 1))
+    inputs = PackInputs.gathering(Inputs())
+    inputs.file("chair.mesh=mesh.obj", lambda: [tmp_path / "mesh.obj"])
+    with pytest.raises(ConfigError, match=r"16 MiB.* are chair\.mesh=mesh\.obj: pass on the run"):
+        inputs.carried()
+
+
+def entry(**changes: Any) -> list[dict[str, Any]]:
+    content = torch.zeros(3, dtype=torch.uint8)
+    return [{"asked": ASKED, "names": ["a"], "contents": [content], **changes}]
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        "files",
+        entry(asked=3),
+        entry(asked="clip walk"),
+        entry(asked="controller x"),
+        entry(names=[], contents=[]),
+        entry(names=["a", "a"], contents=[torch.zeros(1, dtype=torch.uint8)] * 2),
+        entry(contents=[torch.zeros(3)]),
+        entry(contents=[torch.zeros(3, 3, dtype=torch.uint8)]),
+        entry(contents=["text"]),
+        entry(contents=[torch.zeros(MOST_FILE_BYTES + 1, dtype=torch.uint8)]),
+        entry(names=[str(k) for k in range(MOST_FILES + 1)],
+              contents=[torch.zeros(1, dtype=torch.uint8)] * (MOST_FILES + 1)),
+        [*entry(), *entry()],
+        [{"asked": ASKED}],
+    ],
+)  # fmt: skip
+def test_what_no_pack_has_is_refused(state: Any) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        files_of_state(state)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../a", "a/../../b", "/etc/passwd", "a//b", "", ".", "..", "a/.ssh", "c:\\a", "a\\b", "a\0b", "a\nb",
+     "x" * 101, "/".join("abcdefg"), 7],
+)  # fmt: skip
+def test_names_that_lead_elsewhere_are_refused(name: Any) -> None:
+    with pytest.raises(ValueError, match=re.escape("is no name of a file in a pack")):
+        files_of_state(entry(names=[name]))
