@@ -279,9 +279,8 @@ def run(words):
 cli._run = run
 cli.main()
 """
-    said = forked(
-        code, cwd=tmp_path, **({"UNDERSTUDY_TRACEBACK": "1"} if lines_of_code else {})
-    ).stderr
+    wanted = "1" if lines_of_code else ""
+    said = forked(code, cwd=tmp_path, UNDERSTUDY_TRACEBACK=wanted).stderr
     if lines_of_code:
         assert said.count("UserWarning: It may shake.") == 3
     else:

@@ -113,6 +113,26 @@ def test_another_policy_is_put_in_the_place_of_one(
     assert main(["licence", str(file)]) == 0, "all three learned from nothing that is somebody's"
 
 
+def test_controllers_of_a_hierarchy_come_along(
+    built_on: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Above which a policy of its own has learned, and is rounded."""
+    for name in ("go", "stop"):
+        shutil.copytree(built_on / name, tmp_path / "makers" / name)
+    runs = f"actuation.runs=[{tmp_path / 'makers' / 'go'},{tmp_path / 'makers' / 'stop'}]"
+    small = ("budget.samples=256", *QUICK, "run.video_seconds=0", f"run.dir={tmp_path / 'run'}")
+    train("experiment=miniature/sitting", runs, *small)
+    words = ["--bits", "8", "--pack", str(tmp_path / "own" / "it.json")]
+    assert main(["play", str(tmp_path / "run"), *words]) == 0
+    for gone in ("makers", "run"):
+        shutil.rmtree(tmp_path / gone)
+    monkeypatch.chdir(tmp_path / "own")
+    inputs = open_skill("it.json").experiment.inputs
+    assert isinstance(inputs, PackInputs)
+    assert {*inputs.policies} == {"controller go", "controller stop"}
+    assert main(["evaluate", "it.json", "episodes=4", "half_step=false"]) == 0
+
+
 def spoiled(packed: Path, folder: Path, states: Any, cards: Any) -> str:
     state, card = checkpoint.load(packed)
     state["policies"] = states(state["policies"]) if callable(states) else states
