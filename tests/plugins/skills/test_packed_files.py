@@ -37,7 +37,7 @@ def read(tmp_path: Path) -> PackInputs:
     inputs = PackInputs.gathering(Inputs())
     names = ("run.json", "checkpoints/1 (a).bin", "empty")
     inputs.file(ASKED, lambda: [folder / name for name in names])
-    for other in ("clip walk", "mjcf robot.xml"):
+    for other in ("clip walk", "motion.name=walk", "motion.skeleton=a.asf", "mjcf robot.xml"):
         inputs.file(other, lambda: [folder / "run.json"])
     return inputs
 
@@ -115,6 +115,7 @@ def entry(**changes: Any) -> list[dict[str, Any]]:
         "files",
         entry(asked=3),
         entry(asked="clip walk"),
+        entry(asked="motion.file=walk.npz"),
         entry(asked="controller x"),
         entry(names=[], contents=[]),
         entry(names=["a", "a"], contents=[torch.zeros(1, dtype=torch.uint8)] * 2),

@@ -53,7 +53,7 @@ MOST_POLICIES = 16
 #: Other files of a pack, and bytes of these together, at most.
 MOST_FILES, MOST_FILE_BYTES = 64, 2**24
 #: What no pack has: files of whoever made them, clips and models, which it names and who plays it has.
-OF_OTHERS = ("clip ", "mjcf ")
+OF_OTHERS = ("clip ", "motion.", "mjcf ")
 #: What a pack has otherwise.
 _ELSEWHERE = ("bank ", "controller ")
 #: Part of the name of a file in a pack, what no part has, and how many a name has at most.
