@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -666,6 +668,62 @@ def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plug
     )
     assert abs(float((lower - planned[:3]) @ axis)) < 5e-5
     assert bank.shifts[rows[0]] == 0.0, "what was planned before did not"
+    made.environment.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], ""),
+        (["initial_states.relocations=3"], r"4 s are over before 3 relocations in a row .* 3 of 3 worlds, where they take 5\.\d+ s"),
+        (["initial_states.relocations=3", "episode.seconds=10"], ""),
+        # of eight only the first is planned as an episode begins
+        (["initial_states.relocations=8", "memory.again.onward=true"], "take 14.1 s or more, .* evaluation.seconds=27"),
+        (["initial_states.relocations=8", "memory.again.onward=true", "episode.seconds=27"], ""),
+        (["episode.seconds=1"], "before relocations can be"),
+    ],
+)  # fmt: skip
+def test_episodes_in_which_there_is_no_time_are_told(
+    words: list[str], told: str, plugins: Plugins
+) -> None:
+    words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", *words]
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        made.environment.reset(seed=1)
+        made.environment.reset(seed=1)
+    assert len(found) == bool(told), "once"
+    assert not told or re.search(told, str(found[0].message))
+    made.environment.close()
+
+
+def test_plans_are_the_same_whether_some_may_be_made_anew(plugins: Plugins) -> None:
+    """And none is longer than is asked for: rows of plans made anew have room for longer ones."""
+    words = [*WORDS[:1], "num_worlds=6", "initial_states.plans=6", "initial_states.longest=1.7"]
+    found = []
+    for most in (0, 2):
+        made = build_environment(
+            load_experiment([*words, f"memory.again.most={most}"], plugins), evaluating=True
+        )
+        made.environment.reset(seed=1)
+        _, bank = parts(made)
+        found.append((bank.lengths[:6].tolist(), bank.goals[:6, 0].tolist()))
+        made.environment.close()
+    assert found[0] == found[1]
+    assert max(found[0][0]) <= 170
+
+
+def test_nobody_leads_an_object_past_what_it_is_put_upon(plugins: Plugins) -> None:
+    """Of what was put there, and may have been pushed away, nothing is known."""
+    box = "{kind: box, sizes: [0.015, 0.015, 0.015]}"
+    words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=1", "initial_states.refill=0", f"scene.object={box}", f"scene.below={box}"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    made.environment.reset(seed=1)
+    _, bank = parts(made)
+    bank.spare(1)
+    place, turn = torch.tensor([0.0, 0.0, 0.0075]).double(), torch.tensor([1.0, 0, 0, 0]).double()
+    with pytest.raises(NoPlan, match="put upon may be in the way"):
+        bank.toward(0, 0, 0, 0, place, turn, (0.05, 0.0), 0.0)
     made.environment.close()
 
 
