@@ -19,7 +19,9 @@ from understudy_dressing.body import Side
 from understudy_dressing.jacket import JacketScene
 from understudy_dressing.person import PersonScene, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene, Worn
+from understudy_dressing.shirt_state import ShirtState
 from understudy_dressing.sleeve import HangingScene
+from understudy_dressing.state import SleeveState, refuse_other_side
 from understudy_dressing.waypoints import IN_SLEEVE
 
 #: m/s that a gripper goes.
@@ -69,6 +71,7 @@ class Track(InitialStates):
         person = context.need_scene(PersonScene, who)
         self._pose = neutral_pose(person).to(context.device)
         sleeve = context.need_scene(HangingScene, who)
+        self._refuse_other_shoulder(context, sleeve)
         settled = context.once("dressing/settled", sleeve.settled)
         self._settled = torch.tensor(settled, dtype=torch.float32, device=context.device)
         low, high, end = (
@@ -78,6 +81,17 @@ class Track(InitialStates):
         self._low, self._high, self._end = low, high, end
         self._turns = 3 if person.options.driven else 0
         self._refuse_inside(person, settled)
+
+    def _refuse_other_shoulder(self, context: Context, sleeve: HangingScene) -> None:
+        """A track that does not end on the side of the arm that goes in."""
+        fields = [one.options for one in context.chosen.get("fields", ())]
+        sides = {one.side for one in fields if isinstance(one, SleeveState.Options)}
+        side = sleeve.held or (sides.pop() if len(sides) == 1 else None)
+        if side is not None and self.options.end[1] * (1.0 if side == "left" else -1.0) < 0:
+            raise ConfigError(
+                f"initial_states.end={list(self.options.end)} is on the other side than the {side} arm, which goes in: y is to the "
+                "left. Mirror y of end, low and high, or set side of the fields otherwise."
+            )
 
     def _refuse_inside(self, person: PersonScene, settled: np.ndarray) -> None:
         """Starts, on a grid, at which a part of the neutral person is in the cloth."""
@@ -198,6 +212,7 @@ class WornShirt(_Settled):
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'dressing/worn_shirt'"
         shirt = context.need_scene(ShirtScene, who)
+        refuse_other_side(context, ShirtState.Options, options.side, who)
         key = f"dressing/shirt/{options.worn}/{options.side}/{options.other_dressed}"
         bent = IN_SLEEVE if options.worn == "in_sleeve" else IN_SLEEVE[:1]
         settled = context.once(
