@@ -681,6 +681,8 @@ def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plug
         (["initial_states.relocations=8", "memory.again.onward=true"], "take 14.1 s or more, .* evaluation.seconds=27"),
         (["initial_states.relocations=8", "memory.again.onward=true", "episode.seconds=27"], ""),
         (["episode.seconds=1"], "before relocations can be"),
+        (["memory.again.most=4"], r"before a plan made anew .* which may last 3 s longer\. Set .* evaluation.seconds=7\."),
+        (["memory.again.most=4", "episode.seconds=7"], ""),
     ],
 )  # fmt: skip
 def test_episodes_in_which_there_is_no_time_are_told(

@@ -91,6 +91,8 @@ class Bank:
         self._shift = (0.0, 0.0)
         #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
         self.one_by_one, self._onwards = False, 0
+        #: Whether a plan that fails is made anew (:meth:`again`).
+        self.anew = False
         self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = self.shifts = torch.zeros(0)
 

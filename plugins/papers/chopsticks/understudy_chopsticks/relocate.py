@@ -20,7 +20,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Rollout, Shape, State
-from understudy_chopsticks.plan_bank import FARTHEST, MOST, OBJECT, RESTING, bank_of
+from understudy_chopsticks.plan_bank import FARTHEST, LONGER, MOST, OBJECT, RESTING, bank_of
 from understudy_hand.table import ARM_POSE
 from understudy_tool_planner.planner import ASIDE, CLOSING, DT, LEAST, PRESSING
 
@@ -156,16 +156,23 @@ class Relocations(InitialStates):
         needed = DT * self.bank.lengths[row].double()
         if self.bank.one_by_one:  # the others are not planned yet
             needed = needed.clamp(min=count * own.least + (count - 1) * RESTING)
-        late = needed > limit
+        late, most = needed > limit, float(limit.max())
+        enough = count * own.longest + count * RESTING + LONGER * self.bank.anew
         if late.any():
             what = "relocations" if count == 1 else f"{count} relocations in a row"
-            enough = math.ceil(count * own.longest + count * RESTING)
-            warnings.warn(
-                f"Episodes of {float(limit.max()):g} s are over before {what} can be in {int(late.sum())} of {len(row)} worlds, where they "
-                f"take {float(needed[late].min()):.3g} s or more, so none succeeds there. Set episode.seconds={enough} "
-                f"evaluation.seconds={enough}.",
-                stacklevel=2,
+            told = (
+                f"before {what} can be in {int(late.sum())} of {len(row)} worlds, where they take {float(needed[late].min()):.3g} s or "
+                "more, so none succeeds there"
             )
+        elif self.bank.anew and most < enough - RESTING:
+            told = f"before a plan made anew (memory.again.most) can be over, which may last {LONGER:g} s longer"
+        else:
+            return
+        seconds = math.ceil(enough)
+        warnings.warn(
+            f"Episodes of {most:g} s are over {told}. Set episode.seconds={seconds} evaluation.seconds={seconds}.",
+            stacklevel=2,
+        )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         free = len(self._order) - self._refill
