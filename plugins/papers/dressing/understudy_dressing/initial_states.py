@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,8 @@ _DEEP, _DRAWS = 0.03, 8
 class Track(InitialStates):
     """The person neutral, and before it the hanging sleeve, which goes in a straight line to the shoulder
     (section 8.3). The gripper floats there by itself: nothing slows it down. One that is driven begins at rest."""
+
+    reads = ("episode_limit",)
 
     @dataclass(frozen=True)
     class Options:
@@ -80,6 +83,7 @@ class Track(InitialStates):
         )
         self._low, self._high, self._end = low, high, end
         self._turns = 3 if person.options.driven else 0
+        self._asked = False
         self._refuse_inside(person, settled)
 
     def _refuse_other_shoulder(self, context: Context, sleeve: HangingScene) -> None:
@@ -121,7 +125,21 @@ class Track(InitialStates):
         sides = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
         return np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
 
+    def _say_if_it_goes_on(self, limit: Tensor) -> None:
+        """Of episodes (N,) s that are longer than the track, on whose way nothing stops the sleeve."""
+        self._asked, seconds = True, self.options.seconds
+        if not self._turns and (most := float(limit.max())) > seconds + 1e-6:
+            warnings.warn(
+                f"Episodes of {most:g} s go on after the {seconds:g} s in which the sleeve comes to its end, and the sleeve goes on past "
+                f"the shoulder. Set initial_states.seconds={most:g}, or episode.seconds and evaluation.seconds to {seconds:g}.",
+                stacklevel=2,
+            )
+
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        limit = fields.get("episode_limit")
+        # a GPU captures this, and nothing leaves it
+        if not self._asked and limit is not None and limit.device.type == "cpu":
+            self._say_if_it_goes_on(limit)
         hinges = len(self._pose)
         drawn = streams.uniform(3 + 2 * hinges)
         gripper = self._low + drawn[:, :3] * (self._high - self._low)
