@@ -28,7 +28,7 @@ LEFT = ["initial_states.low=[0.7,-0.2,-0.3]", "initial_states.high=[0.8,0.4,0.2]
         (["scenes.cloth.side=left", *LEFT], "of the right arm, and the garment is held by its left sleeve"),
         (["scenes.cloth.side=left", *BOTH], r"end=\[0\.0, -0\.21, 0\.1\] is on the other side than the left arm"),
         (["fields.sleeve.side=left"], "of the left arm, and the garment is held by its right sleeve"),
-        (["fields.limb.side=left"], "'dressing/limb_progress' is of the left arm, and fields.sleeve of the right one"),
+        (["fields.limb.side=left"], "'dressing/limb_progress' is of the left arm, and fields.sleeve.side=right"),
         (["scenes.cloth.turn=90"], r"not to the left and right of the wearer, but 0\.\d+ m forward, 0\.0\d to the side"),
         (["scenes.cloth.loop=0.001"], "there is no ring of edges yet; give more"),
         (["scenes.cloth.loop=0.9"], "the garment is no tube; give less"),
@@ -63,8 +63,8 @@ def test_a_gown_can_be_held_for_the_left_arm(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["fields.shirt.side=right", "initial_states.side=right"], "'dressing/shirt_state' is of the right arm, and fields.sleeve of the left one"),
-        (["initial_states.side=right"], "'dressing/worn_shirt' is of the right arm, and fields.shirt of the left one"),
+        (["fields.shirt.side=right", "initial_states.side=right"], "'dressing/shirt_state' is of the right arm, and fields.sleeve.side=left"),
+        (["initial_states.side=right"], "'dressing/worn_shirt' is of the right arm, and fields.shirt.side=left"),
     ],
 )  # fmt: skip
 def test_a_shirt_for_another_arm_is_refused(words: list[str], said: str) -> None:

@@ -132,14 +132,15 @@ def sleeve_for(garment: GarmentScene, side: Side, who: str) -> Mapping[str, np.n
     return garment.sleeve(side)
 
 
-def refuse_other_side(context: Context, kind: type, side: Side, who: str) -> None:
-    """Refuse `who`, a part of the arm of `side`, where all fields with options of the `kind` are of the other arm."""
+def refuse_other_side(
+    context: Context, kind: type, side: Side, who: str, option: str = "side"
+) -> None:
+    """Refuse `who`, a part of the arm of `side`, where all fields with options of the `kind` have the other arm as their `option`."""
     theirs = [one for one in context.chosen.get("fields", ()) if isinstance(one.options, kind)]
-    if theirs and side not in [one.options.side for one in theirs]:
-        other = theirs[0]
+    if theirs and side not in [getattr(one.options, option) for one in theirs]:
+        other, where = getattr(theirs[0].options, option), f"{theirs[0].where}.{option}"
         raise ConfigError(
-            f"{who} is of the {side} arm, and {other.where} of the {other.options.side} one: set side={side} of all, or "
-            f"side={other.options.side}."
+            f"{who} is of the {side} arm, and {where}={other}: set both to {side}, or both to {other}."
         )
 
 
