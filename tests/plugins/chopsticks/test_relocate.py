@@ -87,6 +87,34 @@ def test_each_world_follows_its_own_plan(built: Built) -> None:
     assert (late[:, 15] == 0).all(), "released at the end"
 
 
+@pytest.mark.parametrize("frequency", [100, 200, 60])
+def test_plans_are_followed_evenly_at_any_rate(frequency: int, plugins: Plugins) -> None:
+    """Their frames are of 10 ms: between two a plan is between both, and does not stand still in one of two control periods."""
+    words = [*WORDS[:1], "num_worlds=2", "initial_states.plans=2", "initial_states.refill=0", f"control.frequency={frequency}"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=2)
+    rows = field(made, "plan_row").long()
+    for number in range(1, int(1.2 * frequency)):
+        environment.advance(torch.zeros(2, 36))
+        at = 100.0 * number / frequency
+        frame, share = int(at + 1e-6), (at + 1e-6) % 1.0
+        here, after = bank.frames[rows, frame], bank.frames[rows, frame + 1]
+        wanted = here + share * (after - here)
+        thing = field(made, "planned_object")
+        torch.testing.assert_close(
+            field(made, "planned_pose")[:, :7], wanted[:, :7], atol=2e-5, rtol=0
+        )
+        torch.testing.assert_close(thing[:, :3], wanted[:, 8:11], atol=2e-5, rtol=0)
+        torch.testing.assert_close(thing[:, 3:].norm(dim=1), torch.ones(2), atol=1e-5, rtol=0)
+        if frequency == 100:
+            assert torch.equal(thing, here[:, 8:15]), "the frame itself"
+        if bool(field(made, "failed").any()):
+            break  # no policy holds the object
+    assert number > 0.5 * frequency
+    made.environment.close()
+
+
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e12, -1.0])
 def test_a_plan_of_no_number_stays_in_its_world(built: Built, wrong: float) -> None:
     _, bank = parts(built)

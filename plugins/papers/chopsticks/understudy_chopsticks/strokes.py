@@ -21,7 +21,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
 from understudy.task.terms import ranges
-from understudy_chopsticks.plan import AHEAD, PLANNED, gripping, planned
+from understudy_chopsticks.plan import AHEAD, PLANNED, frame_at, gripping, planned
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import TIP
 from understudy_tensors import rotations
@@ -203,10 +203,12 @@ class Stroke(Fields):
         made, curves = self._gripping, self._context.once("strokes", _unmade)
         row = stroke_row.long().clamp(0, len(curves.arms) - 1)
         last = curves.arms.shape[1] - 1
-        frame = (episode_time / DT).round().long()[:, None] + self._steps
+        whole, share = frame_at(episode_time)
+        frame = whole.long()[:, None] + self._steps
         here, after = frame.clamp(0, last), (frame + 1).clamp(0, last)
         arms = curves.arms[row[:, None], here]
-        speed = (curves.arms[row[:, None], after] - arms) / DT
+        way = curves.arms[row[:, None], after] - arms
+        arms, speed = arms + share[:, None, None] * way, way / DT
         hand = made.poses[0, 0].expand(*arms.shape[:2], -1)
         pose = torch.cat([arms, hand], dim=-1)
         velocity = torch.cat([speed, torch.zeros_like(hand)], dim=-1)
@@ -216,6 +218,7 @@ class Stroke(Fields):
         )
         ahead = torch.cat([pose, velocity, gripper], dim=-1)
         wanted = curves.tips[row, here[:, 0]]
+        wanted = wanted + share[:, None] * (curves.tips[row, after[:, 0]] - wanted)
         turn = xquat[:, self._body]
         tip = xpos[:, self._body] + rotations.rotate(turn, self._tip.expand(len(turn), 3))
         away = tip - wanted
