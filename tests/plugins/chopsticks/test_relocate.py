@@ -87,6 +87,31 @@ def test_each_world_follows_its_own_plan(built: Built) -> None:
     assert (late[:, 15] == 0).all(), "released at the end"
 
 
+@pytest.mark.parametrize("frequency", [200, 50, 30])
+def test_each_relocation_is_judged_once_at_any_rate(frequency: int, plugins: Plugins) -> None:
+    """In the control period that comes to its last frame of 10 ms, or goes past it."""
+    words = [
+        *WORDS[:1], "num_worlds=1", "initial_states.plans=1", "initial_states.refill=0", "initial_states.relocations=3", "episode.seconds=12",
+        f"control.frequency={frequency}", *(f"~termination.terms.{name}" for name in ("contact_lost", "dropped", "lost", "missed", "placed")),
+    ]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=3)
+    simulator, placed = environment.parts.simulator, torch.zeros(8)
+    lasts = float(field(made, "plan_lasts")[0])
+    for number in range(1, int(lasts * frequency)):
+        state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+        frame = min(round(100.0 * number / frequency), int(bank.lengths[0]))
+        state["qpos"][0, 50:57] = bank.frames[0, frame, 8:15]
+        state["qvel"].zero_()
+        simulator.set_state(torch.tensor([True]), state)
+        environment.advance(torch.zeros(1, 36))
+        placed += field(made, "legs_placed")[0]
+        assert not bool(field(made, "leg_missed")[0])
+    assert placed.tolist() == [1, 1, 0, 0, 0, 0, 0, 0], "the last one is judged when all is over"
+    made.environment.close()
+
+
 @pytest.mark.parametrize("frequency", [100, 200, 60])
 def test_plans_are_followed_evenly_at_any_rate(frequency: int, plugins: Plugins) -> None:
     """Their frames are of 10 ms: between two a plan is between both, and does not stand still in one of two control periods."""

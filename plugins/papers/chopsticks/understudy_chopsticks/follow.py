@@ -5,6 +5,7 @@ U hinges; m, rad, s.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -20,6 +21,9 @@ from understudy_hand.table import ARM_POSE
 from understudy_tensors import rotations
 from understudy_tool_planner import objects
 from understudy_tool_planner.planner import DT
+
+#: s: what is nearer in time is at once.
+_SOON = 1e-4
 
 
 class Follow(Fields):
@@ -82,6 +86,11 @@ class Follow(Fields):
         steps = [round(t / DT) for t in AHEAD]
         self._steps = torch.tensor([0, *steps], device=context.device)
         self._palm = self._gripping.scene.model.body("palm").id
+        self._period = context.control_dt
+        #: Frames before the one that a control period ends in, as many as it may have come to.
+        self._passed = torch.arange(
+            max(1, math.ceil(context.control_dt / DT - _SOON)), device=context.device
+        )
 
     def compute(
         self,
@@ -122,8 +131,9 @@ class Follow(Fields):
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
         thing = _between(here[..., OBJECT], after[..., OBJECT], torch.where(goes, gone, 0.0))
+        judged = self._judged(row, whole, time)
         # As it slows down it may come to frames of the next relocation, which has not begun.
-        leg = torch.where(goes, here[:, 0, LEG], leg_begun)
+        leg = torch.where(goes, judged[:, LEG], leg_begun)
         return {
             "planned_angle": angle[:, 0],
             "planned_targets": torch.cat(
@@ -140,7 +150,7 @@ class Follow(Fields):
             "planned_held": held,
             "planned_goal": self._bank.goals[row, leg.long()],
             "planned_leg": leg,
-            "leg_over": here[:, 0, LAST],
+            "leg_over": judged[:, LAST],
             "object_shape": self._bank.seen[row],
             "object_ahead": torch.cat(
                 [
@@ -154,6 +164,19 @@ class Follow(Fields):
                 dim=-1,
             ),
         }
+
+    def _judged(self, row: Tensor, whole: Tensor, time: Tensor) -> Tensor:
+        """(N, _FRAME) of the plans `row` (N,): of the frames that the control period until `time` (N,) s came to the last one of a
+        relocation, if there is one, so that each is judged once; else the frame `whole` (N,), of which nothing is over if it came to it
+        before."""
+        passed = whole.long()[:, None] - self._passed
+        frames = self._bank.at(row, passed)
+        came = DT * passed > (time - self._period)[:, None] + 0.5 * _SOON
+        over = frames[..., LAST] * came
+        which = over.argmax(dim=1)
+        found = frames[torch.arange(len(row), device=row.device), which].clone()
+        found[:, LAST] = over.amax(dim=1)
+        return found
 
     def _unplanned(self, row: Tensor, here: Tensor) -> Tensor:
         """The frames `here` (N, K, _FRAME) of the plans `row` (N,) with arm and sticks as they begin, nothing held, and the object
