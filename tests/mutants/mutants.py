@@ -777,8 +777,8 @@ MUTANTS = (
     Mutant(
         "a relocation that slows down is the next one",
         "plugins/papers/chopsticks/understudy_chopsticks/follow.py",
-        "leg = torch.where(goes, here[:, 0, LEG], leg_begun)",
-        "leg = here[:, 0, LEG]",
+        "leg = torch.where(goes, judged[:, LEG], leg_begun)",
+        "leg = judged[:, LEG]",
         "tests/plugins/chopsticks/test_relocate.py -k misses",
     ),
     Mutant(
