@@ -119,7 +119,7 @@ def test_plans_are_followed_evenly_at_any_rate(frequency: int, plugins: Plugins)
     made = build_environment(load_experiment(words, plugins))
     environment, (_, bank) = made.environment, parts(made)
     environment.reset(seed=2)
-    rows = field(made, "plan_row").long()
+    rows, number = field(made, "plan_row").long(), 0
     for number in range(1, int(1.2 * frequency)):
         environment.advance(torch.zeros(2, 36))
         at = 100.0 * number / frequency
