@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
@@ -283,3 +287,15 @@ def test_a_composite_within_itself_is_refused() -> None:
     experiment = load_experiment(["experiment=miniature/go", *words, *inner])
     with pytest.raises(ConfigError, match=r"scenes\.inner is a composite within the composite"):
         build_environment(experiment)
+
+
+def test_the_example_of_the_page_is_built() -> None:
+    pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+    page = Path(__file__).parents[2] / "plugins" / "physics" / "composite" / "README.md"
+    (example,) = re.findall(r"```yaml\n(.*?)```", page.read_text(), re.DOTALL)
+    words = [f"{slot}={json.dumps(what).replace(chr(34), '')}" for slot, what in yaml.safe_load(example).items()]  # fmt: skip
+    task = ["experiment=dressing/sleeve_small", "num_worlds=1"]
+    built = build_environment(load_experiment([*task, *words]))
+    assert built.context.scene is not None
+    assert set(built.context.scene.members) == set(yaml.safe_load(example)["scenes"])
+    built.environment.close()

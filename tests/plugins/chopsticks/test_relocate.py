@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -83,6 +85,59 @@ def test_each_world_follows_its_own_plan(built: Built) -> None:
     late = bank.at(rows, torch.full((4, 1), 100_000))[:, 0]
     torch.testing.assert_close(late, bank.frames[rows, bank.lengths[rows]])
     assert (late[:, 15] == 0).all(), "released at the end"
+
+
+@pytest.mark.parametrize("frequency", [200, 50, 30])
+def test_each_relocation_is_judged_once_at_any_rate(frequency: int, plugins: Plugins) -> None:
+    """In the control period that comes to its last frame of 10 ms, or goes past it."""
+    words = [
+        *WORDS[:1], "num_worlds=1", "initial_states.plans=1", "initial_states.refill=0", "initial_states.relocations=3", "episode.seconds=12",
+        f"control.frequency={frequency}", *(f"~termination.terms.{name}" for name in ("contact_lost", "dropped", "lost", "missed", "placed")),
+    ]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=3)
+    simulator, placed = environment.parts.simulator, torch.zeros(8)
+    lasts = float(field(made, "plan_lasts")[0])
+    for number in range(1, int(lasts * frequency)):
+        state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+        frame = min(round(100.0 * number / frequency), int(bank.lengths[0]))
+        state["qpos"][0, 50:57] = bank.frames[0, frame, 8:15]
+        state["qvel"].zero_()
+        simulator.set_state(torch.tensor([True]), state)
+        environment.advance(torch.zeros(1, 36))
+        placed += field(made, "legs_placed")[0]
+        assert not bool(field(made, "leg_missed")[0])
+    assert placed.tolist() == [1, 1, 0, 0, 0, 0, 0, 0], "the last one is judged when all is over"
+    made.environment.close()
+
+
+@pytest.mark.parametrize("frequency", [100, 200, 60])
+def test_plans_are_followed_evenly_at_any_rate(frequency: int, plugins: Plugins) -> None:
+    """Their frames are of 10 ms: between two a plan is between both, and does not stand still in one of two control periods."""
+    words = [*WORDS[:1], "num_worlds=2", "initial_states.plans=2", "initial_states.refill=0", f"control.frequency={frequency}"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=2)
+    rows, number = field(made, "plan_row").long(), 0
+    for number in range(1, int(1.2 * frequency)):
+        environment.advance(torch.zeros(2, 36))
+        at = 100.0 * number / frequency
+        frame, share = int(at + 1e-6), (at + 1e-6) % 1.0
+        here, after = bank.frames[rows, frame], bank.frames[rows, frame + 1]
+        wanted = here + share * (after - here)
+        thing = field(made, "planned_object")
+        torch.testing.assert_close(
+            field(made, "planned_pose")[:, :7], wanted[:, :7], atol=2e-5, rtol=0
+        )
+        torch.testing.assert_close(thing[:, :3], wanted[:, 8:11], atol=2e-5, rtol=0)
+        torch.testing.assert_close(thing[:, 3:].norm(dim=1), torch.ones(2), atol=1e-5, rtol=0)
+        if frequency == 100:
+            assert torch.equal(thing, here[:, 8:15]), "the frame itself"
+        if bool(field(made, "failed").any()):
+            break  # no policy holds the object
+    assert number > 0.5 * frequency
+    made.environment.close()
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e12, -1.0])
@@ -666,6 +721,64 @@ def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plug
     )
     assert abs(float((lower - planned[:3]) @ axis)) < 5e-5
     assert bank.shifts[rows[0]] == 0.0, "what was planned before did not"
+    made.environment.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], ""),
+        (["initial_states.relocations=3"], r"4 s are over before 3 relocations in a row .* 3 of 3 worlds, where they take 5\.\d+ s"),
+        (["initial_states.relocations=3", "episode.seconds=10"], ""),
+        # of eight only the first is planned as an episode begins
+        (["initial_states.relocations=8", "memory.again.onward=true"], "take 14.1 s or more, .* evaluation.seconds=27"),
+        (["initial_states.relocations=8", "memory.again.onward=true", "episode.seconds=27"], ""),
+        (["episode.seconds=1"], "before relocations can be"),
+        (["memory.again.most=4"], r"before a plan made anew .* which may last 3 s longer\. Set .* evaluation.seconds=7\."),
+        (["memory.again.most=4", "episode.seconds=7"], ""),
+    ],
+)  # fmt: skip
+def test_episodes_in_which_there_is_no_time_are_told(
+    words: list[str], told: str, plugins: Plugins
+) -> None:
+    words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", *words]
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        made.environment.reset(seed=1)
+        made.environment.reset(seed=1)
+    assert len(found) == bool(told), "once"
+    assert not told or re.search(told, str(found[0].message))
+    made.environment.close()
+
+
+def test_plans_are_the_same_whether_some_may_be_made_anew(plugins: Plugins) -> None:
+    """And none is longer than is asked for: rows of plans made anew have room for longer ones."""
+    words = [*WORDS[:1], "num_worlds=6", "initial_states.plans=6", "initial_states.longest=1.7"]
+    found = []
+    for most in (0, 2):
+        made = build_environment(
+            load_experiment([*words, f"memory.again.most={most}"], plugins), evaluating=True
+        )
+        made.environment.reset(seed=1)
+        _, bank = parts(made)
+        found.append((bank.lengths[:6].tolist(), bank.goals[:6, 0].tolist()))
+        made.environment.close()
+    assert found[0] == found[1]
+    assert max(found[0][0]) <= 170
+
+
+def test_nobody_leads_an_object_past_what_it_is_put_upon(plugins: Plugins) -> None:
+    """Of what was put there, and may have been pushed away, nothing is known."""
+    box = "{kind: box, sizes: [0.015, 0.015, 0.015]}"
+    words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=1", "initial_states.refill=0", f"scene.object={box}", f"scene.below={box}"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    made.environment.reset(seed=1)
+    _, bank = parts(made)
+    bank.spare(1)
+    place, turn = torch.tensor([0.0, 0.0, 0.0075]).double(), torch.tensor([1.0, 0, 0, 0]).double()
+    with pytest.raises(NoPlan, match="put upon may be in the way"):
+        bank.toward(0, 0, 0, 0, place, turn, (0.05, 0.0), 0.0)
     made.environment.close()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import mujoco
@@ -126,12 +127,45 @@ def test_tongs_open_and_close_as_planned(plugins: Plugins) -> None:
     assert float(torch.stack(angles).max()) > float(least[0]) + 0.01
 
 
+def test_a_curve_is_traced_evenly_at_another_rate(plugins: Plugins) -> None:
+    """Its frames are of 10 ms, and control periods of 5: the arm does not stand still in every other one."""
+    words = [*TASK, "num_worlds=2", "initial_states.curves=2", "control.frequency=200"]
+    built = build_environment(load_experiment(words, plugins))
+    built.environment.reset(seed=0)
+    arms, tips, speeds = [], [], []
+    for _ in range(120):
+        built.environment.advance(torch.zeros(2, 36))
+        arms.append(field(built, "planned_pose")[:, :7].clone())
+        tips.append(field(built, "planned_tip").clone())
+        speeds.append(field(built, "planned_velocity")[:, :7].clone())
+    built.environment.close()
+    went = 200.0 * torch.stack(arms).diff(dim=0)
+    torch.testing.assert_close(went, torch.stack(speeds)[:-1], atol=1e-3, rtol=0)
+    steps = torch.stack(tips).diff(dim=0).norm(dim=-1)[-20:]
+    assert float((steps[1:] / steps[:-1] - 1.0).abs().max()) < 0.1
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(2.0, False), (3.0, True)])
+def test_a_brush_that_will_stand_still_is_told(
+    seconds: float, told: bool, plugins: Plugins
+) -> None:
+    words = [*TASK, "num_worlds=1", "initial_states.longest=2", f"episode.seconds={seconds}"]
+    built = build_environment(load_experiment(words, plugins))
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        built.environment.reset(seed=0)
+        built.environment.reset(seed=0)
+    assert len(found) == told, "once"
+    assert not told or "Set initial_states.longest=3." in str(found[0].message)
+    built.environment.close()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         ([*TASK, "scene=hand", "grip.name=standard"], "needs one grip of a brush"),
         ([*TASK, "grip.name=standard"], "holds two sticks, and the scene has a brush"),
-        ([*TASK, "initial_states.size=0.1", "initial_states.height=0.3"], "Set it to less"),
+        ([*TASK, "initial_states.size=0.1", "initial_states.height=0.3"], "initial_states.height=0.3 m above the table. Set it to less, the height otherwise"),
         ([*TASK, "initial_states.rate=0"], "rate=0.0 is not possible"),
         (["task=chopsticks/brush", "initial_states=chopsticks/open_and_close"], "needs a tool that opens"),
         (["task=chopsticks/relocate", "scene.tool=brush", "grip.name=brush"], "needs a tool of two parts"),

@@ -290,6 +290,17 @@ def test_files_may_be_in_what_editors_save(encoding: str, tmp_path: Path) -> Non
     assert np.allclose(read_garment(path).positions, X)
 
 
+@pytest.mark.parametrize("line", ["mtllib C:\\shirts\\", "usemtl red\\", "o C:\\sleeve\\"])
+def test_a_path_that_ends_in_a_backslash_takes_no_vertex_along(line: str, tmp_path: Path) -> None:
+    """All vertices would have the place of the next one, if there is one more than are used."""
+    path = write(tmp_path, X, FACES, naming())
+    mesh = tmp_path / "sleeve.obj"
+    text = mesh.read_text()
+    at = text.index("v ")
+    mesh.write_text(f"{text[:at]}{line}\n{text[at:]}v 0 0 0\n")
+    assert np.allclose(read_garment(path).positions, X)
+
+
 def test_comments_behind_a_line_and_lines_that_go_on(tmp_path: Path) -> None:
     path = write(tmp_path, X, FACES, naming())
     mesh = tmp_path / "sleeve.obj"

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -131,6 +132,22 @@ def test_deformation_is_punished_between_its_limits() -> None:
     assert found.tolist() == pytest.approx([0, 0, -0.5, -1, -1], abs=0.005)
     paper = deformation(torch.tensor([15.0, 25.0, 35.0]), middle=25.0, scale=0.14)
     assert paper.tolist() == pytest.approx([-0.06, -0.5, -0.94], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["~couplings.touch"], "4 torques and 1 grips, and the simulator takes 77 controls.*couplings.touch"),
+        (["scenes.person.driven=true"], "4 torques and 1 grips, and the simulator takes 11 controls.*driven=false"),
+        (["scenes.person.still=[torso,spine,neck,head,left,right]"], "no hinge that could move"),
+        (["+reward.terms.upright={name: dressing/upright, least: 1, weight: 1}"], "least=1.* at most 0"),
+    ],
+)  # fmt: skip
+def test_what_leaves_nothing_to_act_is_refused(words: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        build_environment(
+            load_experiment(["experiment=dressing/sleeve_small", "num_worlds=1", *words])
+        )
 
 
 def test_torn_cloth_is_counted_and_ends_nothing(environment: Environment) -> None:

@@ -228,6 +228,14 @@ def test_the_whole_search_composes(search: str, tmp_path: Path) -> None:
             "ShirtScene",
         ),
         (["job.bank=POSES"], "has no 'cloth_velocity'"),
+        (
+            ["job.bank=BANK", "job.side=right"],
+            "job 'dressing/lead' is of the right arm, and fields.sleeve.side=left",
+        ),
+        (
+            ["job.bank=BANK", "job=dressing/lead_grip", "job.lowers=", "job.out="],
+            "job 'dressing/lead_grip' is of the left arm, and fields.shirt.hand=right",
+        ),
     ],
 )
 def test_bad_input(

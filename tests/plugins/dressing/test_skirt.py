@@ -120,6 +120,8 @@ def test_it_keeps_to_the_rules_of_environments(environment: Environment) -> None
     [
         (["scenes.skirt.hem=4.0"], "hem=4.0"),
         (["scenes.skirt.edge=0.001"], "edge=0.001"),
+        (["scenes.skirt.waist=0.3"], r"6.1 cm inside the body 'root'.*enlarge waist"),
+        (["scenes.skirt.waist=0.7"], r"1.5 cm inside the body 'root'"),
         (["scenes.skirt.character=humanoidd"], "humanoid"),
         (["couplings.worn.target=person"], "no skirt"),
         (["couplings.worn.target=skrt"], "skirt"),

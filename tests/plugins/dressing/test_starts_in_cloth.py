@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -161,6 +163,28 @@ def test_cloth_that_begins_in_the_person_is_refused(
     assert "the cloth begins" in error
     assert "cm inside the person: move low and high away from it." in error
     assert not run.exists(), "before anything is written"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], ""),
+        (["episode.seconds=7"], r"go on after the 6 s .* past the shoulder. Set initial_states.seconds=7,"),
+        (["initial_states.seconds=3"], "Episodes of 6 s go on after the 3 s"),
+        (["initial_states.seconds=8"], ""),
+    ],
+)  # fmt: skip
+def test_a_sleeve_that_goes_on_past_the_shoulder_is_told(words: list[str], told: str) -> None:
+    pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+    given = ["experiment=dressing/sleeve_small", "num_worlds=1", *words]
+    environment = build_environment(load_experiment(given)).environment
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        environment.reset(seed=0)
+        environment.reset(seed=0)
+    assert len(found) == bool(told), "once"
+    assert not told or re.search(told, str(found[0].message))
+    environment.close()
 
 
 def test_noise_counts_where_the_sleeve_begins_away_from_the_person() -> None:

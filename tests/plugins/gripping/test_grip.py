@@ -30,7 +30,7 @@ from understudy_gripping.grip import (
     tongs_wide,
     tri_finger,
 )
-from understudy_gripping.hold import placed
+from understudy_gripping.hold import Held, placed
 from understudy_gripping.holding import holding
 from understudy_gripping.pose import PoseSolver
 from understudy_gripping.section import _kept
@@ -250,6 +250,28 @@ def test_bad_words_are_one_sentence_and_nothing_is_written(
     assert said in printed
     assert len(printed.strip().splitlines()) == 1
     assert not file.exists()
+
+
+@pytest.mark.parametrize(
+    ("fell", "told"),
+    [
+        ((None, None, None, None, None), "slip by 1.00 and 2.00 mm in 9 s at the worst of 5 angles"),
+        ((None, 3.2, None, None, 1.5), "not for ten: at 2 of 5 angles a part falls, first after 1.50 s (at 0.15 rad)"),
+    ],
+)  # fmt: skip
+def test_a_grip_that_lets_go_after_a_second_says_so(
+    fell: tuple[float | None, ...], told: str, grip: Grip, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """How far parts slip until one falls is no slip of nine seconds."""
+
+    def held(self: Grip, scene: HandScene, row: int, *seconds: float) -> Held:
+        return Held(fell[row], np.array([1e-3, 2e-3]), np.zeros(2), 0.0, np.zeros(1), frozenset())
+
+    monkeypatch.setattr("understudy_gripping.command.find_grip", lambda *_, **__: grip)
+    monkeypatch.setattr(Grip, "held", held)
+    assert main(["grip", "11120", str(tmp_path / "grip.json")]) == 0
+    assert told in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("file", ["nosuch/grip.json", "."])

@@ -240,6 +240,16 @@ def test_endings_are_counted_by_stage(place: Path, tmp_path: Path) -> None:
         (lambda: Until("d", at_least=2.0, at_most=1.0), "at_least=2 is above at_most=1"),
         (lambda: Until("reward", at_least=2.0), "known only once"),
         (lambda: Stage("a", Until("d", at_most=1.0, lasting=3.0), seconds=2.0), "is over before"),
+        (
+            lambda: Stage("a", Until("stage_seconds", at_least=3.0), seconds=2.0),
+            "at_least=3 of stage_seconds",
+        ),
+        (
+            lambda: Stage("a", Until("stage_seconds", at_least=1.5, lasting=1.0), seconds=2.0),
+            "is over before",
+        ),
+        (lambda: Until("stage", at_least=1.0), "stays as it is until a stage is done"),
+        (lambda: Until("stage_limit", at_least=1.0), "stays as it is"),
         (lambda: Stages.Options(()), "name at least one"),
     ],
 )

@@ -17,9 +17,9 @@ from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import BAR, GRIPPERS, HALF_LENGTH, RADIUS, Thing, Tool, upper_pose
 from understudy_tensors import rotations
 from understudy_tool_planner import arm, trajectory
-from understudy_tool_planner.clearance import to_segments
+from understudy_tool_planner.clearance import to_points, to_segments
 from understudy_tool_planner.configuration import NoPlan, choose, orientations
-from understudy_tool_planner.gripper import Jaws, width
+from understudy_tool_planner.gripper import Jaws, normal, width
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.planner import DT, STEP, Plan, Planner, Task
 from understudy_tool_planner.tasks import random_goal, random_table
@@ -134,10 +134,22 @@ def test_widths_are_those_that_a_ray_measures(shape: Shape) -> None:
     things = Things.of([shape], torch.zeros(1, 2, dtype=F64), torch.zeros(1, dtype=F64))
     middle = things.places[0]
     half = 0.5 * width(shape, ways)
-    from understudy_tool_planner.clearance import to_points
-
     on = to_points((middle + half[:, None] * ways)[:, None], things)
     assert float(on.abs().max()) < 1e-7
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, Shape("capsule", (0.005, 0.02))], ids=repr)
+def test_normals_are_the_slope_of_the_distance(shape: Shape) -> None:
+    """Out of the round ends of a capsule, too, of which a short one is taken."""
+    ways = torch.nn.functional.normalize(
+        torch.randn(200, 3, generator=torch.Generator().manual_seed(1), dtype=F64), dim=-1
+    )
+    ways = torch.cat([ways, torch.eye(3, dtype=F64)])
+    things = Things.of([shape], torch.zeros(1, 2, dtype=F64), torch.zeros(1, dtype=F64))
+    out = (0.5 * width(shape, ways) + 1e-6)[:, None] * ways
+    point = (things.places[0] + out).requires_grad_()
+    (slope,) = torch.autograd.grad(to_points(point[:, None], things).sum(), point)
+    torch.testing.assert_close(normal(shape, ways), (slope * ways).sum(-1), atol=2e-3, rtol=0)
 
 
 def test_distances_are_mujocos() -> None:
@@ -221,8 +233,6 @@ def test_nothing_is_touched_on_the_way(planned: list[tuple[Task, Things, Plan]])
     """The sticks, frame by frame, from the table and everything that stays, by another computation: points along
     them."""
     along = torch.linspace(-HALF_LENGTH, HALF_LENGTH, 261, dtype=F64)
-    from understudy_tool_planner.clearance import to_points
-
     for _, others, plan in planned:
         assert plan.clearance >= 0.0
         matrix = rotations.to_matrix(plan.lower[:, 3:])
@@ -352,6 +362,32 @@ def test_a_goal_that_no_plan_reaches(planner: Planner, task: dict[str, Any], sai
 
 
 @pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"goal": (0.29, 0.0)}, r"its goal at \(0.29, 0\) m is 30.0 mm beside the table"),
+        ({"start": (0.28, 0.0)}, r"the object at \(0.28, 0\) m is 20.0 mm beside the table"),
+        ({"goal": (0.0, 0.4), "thrown": True}, "85.0 mm beside the table"),
+        ({"goal": (math.nan, 0.0)}, "no finite number"),
+        ({"start": (0.0, math.inf)}, "no finite number"),
+        ({"heading": math.nan}, "no finite number"),
+        ({"upon": math.nan}, "no finite number"),
+    ],
+)
+def test_what_is_not_on_the_table_is_not_planned_for(
+    planner: Planner, given: dict[str, Any], said: str
+) -> None:
+    """The arm reaches beyond its edge, where an object falls."""
+    words: dict[str, Any] = {"start": (0.05, -0.04), "goal": (-0.05, 0.0), **given}
+    with pytest.raises(NoPlan, match=said):
+        planner.plan(Task(Shape("sphere", (0.01,)), **words), planner.begin(), NOTHING)
+
+
+def test_the_tables_edge_is_on_it(planner: Planner) -> None:
+    plan = planner.plan(Task(Shape("sphere", (0.01,)), (0.05, -0.04), (0.255, 0.0)), planner.begin(), NOTHING)  # fmt: skip
+    assert plan.object[-1, :3].tolist() == pytest.approx([0.255, 0.0, 0.01])
+
+
+@pytest.mark.parametrize(
     ("kind", "sizes", "said"),
     [
         ("sphere", (0.03,), "radius of 3 cm is none of table 5.2, where it is from 0.5 to 1 cm"),
@@ -447,8 +483,6 @@ def test_the_sticks_keep_clear_of_what_lies_upon_an_object(planner: Planner) -> 
         rods = STICKS.rods(plan.lower[rows, :3], matrix, plan.angle[rows])
         along = torch.linspace(-HALF_LENGTH, HALF_LENGTH, 261, dtype=F64)
         points = rods.middles[..., None, :] + along[:, None] * rods.axes[..., None, :]
-        from understudy_tool_planner.clearance import to_points
-
         assert float(to_points(points[..., None, :], over).amin()) - RADIUS >= -1e-6
 
 

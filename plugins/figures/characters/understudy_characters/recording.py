@@ -139,11 +139,14 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
     archive = Archive(run.path / "recording.npz")
     frames, dt = max(0, int(archive.number("first_episode"))), archive.number("control_dt")
     qpos = archive.floats("qpos", None, None)[:frames]
+    tracks = {name: track[:frames] for name, track in recorded_fields(run, scene).items()}
     if isinstance(scene, CharacterScene):
-        tracks = {name: track[:frames] for name, track in recorded_fields(run, scene).items()}
         things = scene.surroundings({"qpos": qpos, **tracks})
     else:
-        things = other_bodies(_character(unsimulated(run)), qpos)
+        character = _character(unsimulated(run))
+        if frames:
+            scene.look(character.model, tracks, 0)
+        things = other_bodies(character, qpos)
     found = []
     for thing in things:
         names = (thing.name,)
@@ -181,7 +184,7 @@ def recorded_scene(run: Run) -> Scene:
     return scene
 
 
-def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
+def recorded_fields(run: Run, scene: Scene) -> dict[str, np.ndarray]:
     """What else than its motion and the reference the scene wants of the recording of `run`, as far as
     it is there: by field, each (T,) or (T, …), with all frames.
 

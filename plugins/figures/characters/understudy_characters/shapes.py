@@ -53,16 +53,18 @@ def shapes(character: Character, geoms: Sequence[Geom] | None = None) -> list[Sh
 
 
 def body_shapes(character: Character, body: int) -> list[Shape]:
-    """All geoms of `body` in the character's model, except planes, in the body's frame."""
+    """All geoms of `body` in the character's model that are seen, except planes, in the body's frame."""
     model, found = character.model, []
     name = model.body(body).name or f"body{body}"
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] != body or model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
+        r, g, b, a = (float(part) for part in model.geom_rgba[geom])
+        if a == 0.0:
+            continue
         mesh, turn = _mesh(character, geom), np.zeros(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
         vertices = mesh.vertices @ turn.reshape(3, 3).T + model.geom_pos[geom]
-        r, g, b, a = (float(part) for part in model.geom_rgba[geom])
         found.append(Shape(name, vertices, np.asarray(mesh.faces), (r, g, b, a)))
     return found
 

@@ -13,6 +13,7 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError
 from understudy.setup.composition import load_experiment
 from understudy_gripping.finding import FORCE, find_grip, search_grip
+from understudy_gripping.grip import Grip
 from understudy_gripping.holding import holding
 from understudy_gripping.section import MOST_CLEARANCE
 from understudy_gripping.styles import read_style, written
@@ -130,11 +131,25 @@ class FindGrip(Command):
         else:
             grip = find_grip(scene, style, places, force=options.force, finger_clearance=apart)
         grip.save(options.file)
-        every = [grip.held(scene, row, 10.0, 1.0) for row in range(len(grip.angles))]
-        slip = " and ".join(f"{1e3 * d:.2f}" for d in np.max([h.drift for h in every], axis=0))
-        depth, parts = max(held.depth for held in every), " and ".join(scene.tool_bodies)
-        print(
-            f"{written(style)}: {parts.replace('_', ' ')} slip by {slip} mm in 9 s at the worst of {len(every)} "
-            f"angles; anything is at most {1e3 * depth:.2f} mm in them. Written: {options.file}"
-        )
+        print(f"{written(style)}: {_held(grip, scene)}. Written: {options.file}")
         return 0
+
+
+def _held(grip: Grip, scene: HandScene) -> str:
+    """What becomes of the tool in ten seconds, in a sentence."""
+    every = [grip.held(scene, row, 10.0, 1.0) for row in range(len(grip.angles))]
+    parts = [name.replace("_", " ") for name in scene.tool_bodies]
+    fell = [(held.fell, angle) for held, angle in zip(every, grip.angles, strict=True) if held.fell]
+    if fell:
+        after, angle = min(fell)
+        return (
+            f"it holds for a second and not for ten: at {len(fell)} of {len(every)} angles "
+            f"{'a part' if len(parts) > 1 else 'the ' + parts[0]} falls, first after {after:.2f} s (at {angle:g} rad). Other "
+            "--places, or drawn ones (--tries 16), may hold longer"
+        )
+    slip = " and ".join(f"{1e3 * d:.2f}" for d in np.max([held.drift for held in every], axis=0))
+    depth = max(held.depth for held in every)
+    return (
+        f"{' and '.join(parts)} slip{'s' * (len(parts) == 1)} by {slip} mm in 9 s at the worst of {len(every)} "
+        f"angles; anything is at most {1e3 * depth:.2f} mm in them"
+    )

@@ -24,7 +24,9 @@ class Held:
     """P parts of a tool: two sticks, or tongs' two bars, the upper one first; one of a brush."""
 
     fell: float | None  #: s, when a part fell; None if none did
-    drift: np.ndarray  #: (P,) m, of the parts in the palm's frame from `settle` to the end
+    drift: (
+        np.ndarray
+    )  #: (P,) m, of the parts in the palm's frame from `settle` to the end, or until one fell
     turn: np.ndarray  #: (P,) rad, of their axes
     depth: float  #: m: the deepest penetration of the tool after `settle`
     qpos: np.ndarray  #: (nq,) at the end

@@ -11,6 +11,8 @@ import numpy as np
 from understudy_hand import tools
 from understudy_hand.table import ARM, DENSITY, Link, Shape, can_meet
 
+__all__ = ["TABLE_CENTRE", "TABLE_SIZE"]
+
 #: Bits of contact masks.
 _HAND, _TOOL, _TABLE = 1, 2, 4
 #: Of the arm and of the hand: gain N m/rad, damping N m s/rad, and N m at most (the release).

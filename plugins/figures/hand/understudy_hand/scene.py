@@ -117,6 +117,10 @@ class HandScene(MujocoScene):
         gradient_sky(spec)
         return spec
 
+    def look(self, model: mujoco.MjModel, tracks: Mapping[str, np.ndarray], frame: int) -> None:
+        if self.forms is not None:
+            self.forms.show(model, tracks, frame)
+
     @cached_property
     def _links(self) -> tuple[Link, ...]:
         robot = self.options.robot
@@ -153,8 +157,7 @@ class HandScene(MujocoScene):
         palm = model.body("palm").id
 
         def aim(frame: int, data: mujoco.MjData) -> None:
-            if self.forms is not None:
-                self.forms.show(model, tracks, frame)
+            self.look(model, tracks, frame)
             if frame == 0:  # it stands still: the hand's movement is what is to be seen
                 turn = data.xmat[palm].reshape(3, 3)
                 camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)

@@ -136,5 +136,9 @@ def normal(shape: Shape, ways: Tensor) -> Tensor:
         face = (sizes / ways.abs().clamp(min=1e-9)).argmin(-1, keepdim=True)
         return ways.abs().gather(-1, face)[..., 0]
     if shape.kind == "capsule":
-        return (1.0 - ways[..., 0].square()).clamp(min=0.0).sqrt()
+        along, round_ = shape.half_sizes[0], shape.rounding
+        across = (1.0 - ways[..., 0].square()).clamp(min=0.0).sqrt()
+        # beside its cylinder, or out of an end, as in `width`
+        out = (1.0 - (along / round_ * across).square()).clamp(min=0.0).sqrt()
+        return torch.where(round_ * ways[..., 0].abs() <= along * across, across, out)
     return torch.ones_like(ways[..., 0])

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from understudy_gripping.grip import Grip
 from understudy_gripping.kinematics import HandKinematics
+from understudy_hand.model import TABLE_CENTRE, TABLE_SIZE
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_tensors import rotations
@@ -254,10 +255,12 @@ class Planner:
             none was found; the sentence says in which phase, and by how many millimetres.
         """
         asked = self._asked(task, now, others, error, anew)
+        _refuse_what_is_no_number(asked)
         found = choose(
             task.shape, asked.start, asked.heading, asked.goal, asked.last, now.lower[3:],
             _united(others, *asked.above), self._holder,
         )  # fmt: skip
+        _refuse_beside_the_table(task)
         worst: NoPlan | None = None
         for row in range(min(_TRIED, len(found.score))):
             try:
@@ -500,6 +503,34 @@ class Planner:
             poses.append(solved.pose[:, best])
             swivel, before = ends[best], solved.pose[-1, best]
         return torch.cat(poses)
+
+
+def _refuse_what_is_no_number(asked: _Asked) -> None:
+    """NaN passes for neither near nor far, and infinity for both."""
+    error = () if asked.error is None else (asked.error,)
+    known = (
+        asked.start, asked.goal, asked.heading, asked.last, *_fields(asked.others), asked.now.lower, asked.now.angle,
+        asked.now.arm, *error,
+    )  # fmt: skip
+    if not all(bool(value.isfinite().all()) for value in known):
+        raise NoPlan(
+            "No plan reaches the goal: where an object or the arm is, or is to be, has no finite number. Give m and rad."
+        )
+
+
+def _refuse_beside_the_table(task: Task) -> None:
+    for what, place in (("the object", task.start), ("its goal", task.goal)):
+        beyond = max(
+            abs(at - middle) - half
+            for at, middle, half in zip(place, TABLE_CENTRE, TABLE_SIZE, strict=False)
+        )
+        if beyond > 0.0:
+            ends = [(m - h, m + h) for m, h in zip(TABLE_CENTRE, TABLE_SIZE, strict=True)]
+            (a, b), (c, d) = ends[:2]
+            raise NoPlan(
+                f"No plan reaches the goal: {what} at ({place[0]:g}, {place[1]:g}) m is {1e3 * beyond:.1f} mm beside the table, which "
+                f"is from {a:g} to {b:g} m along x and from {c:g} to {d:g} m along y. Choose a place on it."
+            )
 
 
 def _joined(*parts: Frames) -> Frames:

@@ -96,6 +96,7 @@ class Again(Memory):
             )
         if self._most or self._onward:
             self._bank.spare(context.num_worlds)
+        self._bank.anew = self._most > 0
         self._context = context
         #: m: where the visitor wants the object to be brought; None before they say so.
         self.target: tuple[float, float] | None = None

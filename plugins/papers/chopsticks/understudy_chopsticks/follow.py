@@ -5,6 +5,7 @@ U hinges; m, rad, s.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,12 +15,15 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
-from understudy_chopsticks.plan import AHEAD, PLANNED, planned
+from understudy_chopsticks.plan import AHEAD, PLANNED, frame_at, planned
 from understudy_chopsticks.plan_bank import HELD, LAST, LEG, OBJECT, SLOWING, bank_of
 from understudy_hand.table import ARM_POSE
 from understudy_tensors import rotations
 from understudy_tool_planner import objects
 from understudy_tool_planner.planner import DT
+
+#: s: what is nearer in time is at once.
+_SOON = 1e-4
 
 
 class Follow(Fields):
@@ -82,6 +86,11 @@ class Follow(Fields):
         steps = [round(t / DT) for t in AHEAD]
         self._steps = torch.tensor([0, *steps], device=context.device)
         self._palm = self._gripping.scene.model.body("palm").id
+        self._period = context.control_dt
+        #: Frames before the one that a control period ends in, as many as it may have come to.
+        self._passed = torch.arange(
+            max(1, math.ceil(context.control_dt / DT - _SOON)), device=context.device
+        )
 
     def compute(
         self,
@@ -100,8 +109,9 @@ class Follow(Fields):
         rate = torch.where(goes, 1.0, rate)
         time = torch.where(goes, episode_time - plan_since, plan_stopped + SLOWING * (1.0 - rate))
         row = followed.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
-        whole = torch.where(goes, (time / DT).round(), (time / DT).floor())
-        share = torch.where(goes, 0.0, time / DT - whole)[:, None]
+        whole, gone = frame_at(time)
+        whole = torch.where(goes, whole, (time / DT).floor())
+        share = torch.where(goes, gone, time / DT - whole)[:, None]
         frame = whole.long()[:, None] + goes[:, None] * self._steps
         here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
         if not self._plans:
@@ -120,9 +130,10 @@ class Follow(Fields):
         held, now = here[:, 0, HELD] * goes, lower[:, 0]
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
-        thing = here[:, 1:, OBJECT]
+        thing = _between(here[..., OBJECT], after[..., OBJECT], torch.where(goes, gone, 0.0))
+        judged = self._judged(row, whole, time)
         # As it slows down it may come to frames of the next relocation, which has not begun.
-        leg = torch.where(goes, here[:, 0, LEG], leg_begun)
+        leg = torch.where(goes, judged[:, LEG], leg_begun)
         return {
             "planned_angle": angle[:, 0],
             "planned_targets": torch.cat(
@@ -135,22 +146,37 @@ class Follow(Fields):
             "plan_ahead": torch.cat([pose, velocity, gripper], dim=-1)[:, 1:],
             "plan_time": time,
             "plan_lasts": DT * self._bank.lengths[row].float(),
-            "planned_object": here[:, 0, OBJECT],
+            "planned_object": thing[:, 0],
             "planned_held": held,
             "planned_goal": self._bank.goals[row, leg.long()],
             "planned_leg": leg,
-            "leg_over": here[:, 0, LAST],
+            "leg_over": judged[:, LAST],
             "object_shape": self._bank.seen[row],
             "object_ahead": torch.cat(
                 [
-                    rotations.inverse_rotate(turn.expand(-1, len(AHEAD), 4), thing[..., :3] - palm),
+                    rotations.inverse_rotate(
+                        turn.expand(-1, len(AHEAD), 4), thing[:, 1:, :3] - palm
+                    ),
                     rotations.multiply(
-                        rotations.conjugate(turn).expand_as(thing[..., 3:]), thing[..., 3:]
+                        rotations.conjugate(turn).expand_as(thing[:, 1:, 3:]), thing[:, 1:, 3:]
                     ),
                 ],
                 dim=-1,
             ),
         }
+
+    def _judged(self, row: Tensor, whole: Tensor, time: Tensor) -> Tensor:
+        """(N, _FRAME) of the plans `row` (N,): of the frames that the control period until `time` (N,) s came to the last one of a
+        relocation, if there is one, so that each is judged once; else the frame `whole` (N,), of which nothing is over if it came to it
+        before."""
+        passed = whole.long()[:, None] - self._passed
+        frames = self._bank.at(row, passed)
+        came = DT * passed > (time - self._period)[:, None] + 0.5 * _SOON
+        over = frames[..., LAST] * came
+        which = over.argmax(dim=1)
+        found = frames[torch.arange(len(row), device=row.device), which].clone()
+        found[:, LAST] = over.amax(dim=1)
+        return found
 
     def _unplanned(self, row: Tensor, here: Tensor) -> Tensor:
         """The frames `here` (N, K, _FRAME) of the plans `row` (N,) with arm and sticks as they begin, nothing held, and the object
@@ -160,3 +186,13 @@ class Follow(Fields):
         found[..., OBJECT] = self._bank.at(row, self._bank.lengths[row])[:, None, OBJECT]
         found[..., HELD] = 0.0
         return found
+
+
+def _between(here: Tensor, after: Tensor, share: Tensor) -> Tensor:
+    """(N, K, 7) poses by a `share` (N,) of the way from `here` to `after`, which are near."""
+    share = share[:, None, None]
+    same = (here[..., 3:] * after[..., 3:]).sum(-1, keepdim=True) >= 0
+    end = torch.cat([after[..., :3], torch.where(same, after[..., 3:], -after[..., 3:])], dim=-1)
+    found = here + share * (end - here)
+    found = torch.cat([found[..., :3], rotations.normalize(found[..., 3:])], dim=-1)
+    return torch.where(share > 0, found, here)

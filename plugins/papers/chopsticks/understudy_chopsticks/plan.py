@@ -23,9 +23,12 @@ from understudy_chopsticks.held_grip import Gripping
 from understudy_gripping.section import Grips
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
+from understudy_tool_planner.planner import DT
 
 #: How far ahead a policy sees the plan, s: six frames every 0.05 s (section 5.4.2).
 AHEAD = tuple(0.05 * k for k in range(1, 7))
+#: Of a frame: so near to its time is at its time.
+_ON_A_FRAME = 0.01
 #: Numbers of the gripper's pose and velocity: the lower stick's, and the angle's.
 GRIPPER = 15
 
@@ -37,6 +40,16 @@ def gripping(context: Context, who: str) -> Gripping:
     starts = [one.options for one in context.chosen.get("initial_states", ())]
     arms = [arm for o in starts if isinstance(o, OpenAndClose.Options) for arm in o.arms_in(scene)]
     return context.once("gripping", lambda: Gripping(grips.in_hand(scene), scene, context, arms))
+
+
+def frame_at(time: Tensor) -> tuple[Tensor, Tensor]:
+    """Of plans in frames of 10 ms: the frame (N,) before `time` (N,) s, and which share of the way to the next one has gone; none at
+    a frame's own time, whatever that is in float32."""
+    at = time / DT
+    nearest = at.round()
+    on = (at - nearest).abs() < _ON_A_FRAME
+    whole = torch.where(on, nearest, at.floor())
+    return whole, torch.where(on, 0.0, at - whole).nan_to_num(0.0)
 
 
 def angle_at(amplitude: Tensor, rate: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:

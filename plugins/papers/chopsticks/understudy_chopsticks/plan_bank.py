@@ -91,6 +91,8 @@ class Bank:
         self._shift = (0.0, 0.0)
         #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
         self.one_by_one, self._onwards = False, 0
+        #: Whether a plan that fails is made anew (:meth:`again`).
+        self.anew = False
         self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = self.shifts = torch.zeros(0)
 
@@ -299,6 +301,8 @@ class Bank:
             raise NoPlan("No plan reaches the goal: the object does not lie on the table.")
         if self._above is not None:
             raise NoPlan("No plan reaches the goal: what lay upon the object may be in the way.")
+        if self._below is not None:
+            raise NoPlan("No plan reaches the goal: what the object is put upon may be in the way.")
         start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
         planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
@@ -380,7 +384,8 @@ class Bank:
 
     def _plan(self, planner: Planner, shape: objects.Shape, before: Plan | None) -> Plan:
         """The next plan of a stream of random starts and goals; of those that there is none for, none."""
-        room = self.frames.shape[1] - (self._relocations - 1) * round(RESTING / DT)
+        # not of the frames, which are more where there are plans made anew
+        room = self._room - (self._relocations - 1) * round(RESTING / DT)
         room //= self._relocations
         why = f"they last longer than {DT * room:g} s (initial_states.longest)"
         for _ in range(_TRIES):

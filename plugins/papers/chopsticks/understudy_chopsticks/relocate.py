@@ -7,6 +7,8 @@ worlds; m, rad, s.
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -18,9 +20,9 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Rollout, Shape, State
-from understudy_chopsticks.plan_bank import FARTHEST, MOST, OBJECT, bank_of
+from understudy_chopsticks.plan_bank import FARTHEST, LONGER, MOST, OBJECT, RESTING, bank_of
 from understudy_hand.table import ARM_POSE
-from understudy_tool_planner.planner import ASIDE, CLOSING, LEAST, PRESSING
+from understudy_tool_planner.planner import ASIDE, CLOSING, DT, LEAST, PRESSING
 
 
 class Relocations(InitialStates):
@@ -30,6 +32,7 @@ class Relocations(InitialStates):
     ``plan_row`` () is the plan's number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
+    reads = ("episode_limit",)
     rollout_fields = ("plan_row",)
     episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,)}
 
@@ -82,8 +85,7 @@ class Relocations(InitialStates):
                     "elsewhere=true is not possible with relocations=1: the tool goes there between two relocations. Set relocations=4, or leave elsewhere out."
                 )
             check_range(self, "pressing", least=0, most=1.0)
-            least = round(2 * (LEAST + CLOSING) + self.pressing + ASIDE, 6)
-            check_range(self, "longest", least=least, most=60.0)
+            check_range(self, "longest", least=self.least, most=60.0)
             low, high = self.shift
             if not -FARTHEST <= low <= high <= FARTHEST:
                 raise ValueError(
@@ -95,7 +97,13 @@ class Relocations(InitialStates):
                     f"refill={self.refill} with plans={self.plans} is not possible: give more plans than are refilled."
                 )
 
+        @property
+        def least(self) -> float:
+            """s, of a relocation that goes nowhere."""
+            return round(2 * (LEAST + CLOSING) + self.pressing + ASIDE, 6)
+
     def __init__(self, options: Options, context: Context) -> None:
+        self._options, self._asked = options, False
         made, self.bank = bank_of(context, "initial_states 'chopsticks/relocations'")
         self.pressing = options.pressing  #: s
         self._evaluating = context.evaluating
@@ -142,6 +150,30 @@ class Relocations(InitialStates):
         #: (P,) mean reward of the decisions that followed each plan; 0 of one that nobody followed yet.
         self._going = torch.zeros(options.plans, device=device)
 
+    def _say_if_too_short(self, row: Tensor, limit: Tensor) -> None:
+        """Of the first episodes (N,) s, which follow the plans `row` (N,): what has no time passes for what has failed."""
+        self._asked, own, count = True, self._options, self._options.relocations
+        needed = DT * self.bank.lengths[row].double()
+        if self.bank.one_by_one:  # the others are not planned yet
+            needed = needed.clamp(min=count * own.least + (count - 1) * RESTING)
+        late, most = needed > limit, float(limit.max())
+        enough = count * own.longest + count * RESTING + LONGER * self.bank.anew
+        if late.any():
+            what = "relocations" if count == 1 else f"{count} relocations in a row"
+            told = (
+                f"before {what} can be in {int(late.sum())} of {len(row)} worlds, where they take {float(needed[late].min()):.3g} s or "
+                "more, so none succeeds there"
+            )
+        elif self.bank.anew and most < enough - RESTING:
+            told = f"before a plan made anew (memory.again.most) can be over, which may last {LONGER:g} s longer"
+        else:
+            return
+        seconds = math.ceil(enough)
+        warnings.warn(
+            f"Episodes of {most:g} s are over {told}. Set episode.seconds={seconds} evaluation.seconds={seconds}.",
+            stacklevel=2,
+        )
+
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         free = len(self._order) - self._refill
         share = streams.uniform(1)[:, 0]
@@ -156,6 +188,10 @@ class Relocations(InitialStates):
         row = self._order[place]
         if self._later:
             self.bank.need(row.unique().tolist())
+        limit = fields.get("episode_limit")
+        # a GPU captures this, and nothing leaves it
+        if not self._asked and limit is not None and limit.device.type == "cpu":
+            self._say_if_too_short(row, limit)
         thing = self.bank.frames[row, 0, OBJECT]
         further = self.bank.shifted
         qpos = self.bank.starts[row] if further else self._start.repeat(len(row), 1)

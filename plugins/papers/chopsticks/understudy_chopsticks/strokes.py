@@ -7,6 +7,7 @@ the tip should and the arm follows in closed form. N worlds, C curves, T frames 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
 from understudy.task.terms import ranges
-from understudy_chopsticks.plan import AHEAD, PLANNED, gripping, planned
+from understudy_chopsticks.plan import AHEAD, PLANNED, frame_at, gripping, planned
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import TIP
 from understudy_tensors import rotations
@@ -53,6 +54,7 @@ class Strokes(InitialStates):
     ``stroke_row`` () is the curve's number. Evaluations draw from curves that no training has.
     """
 
+    reads = ("episode_limit",)
     episode_fields: Mapping[str, Shape] = {"stroke_row": ()}
 
     @dataclass(frozen=True)
@@ -81,9 +83,23 @@ class Strokes(InitialStates):
         start = made.begin(own.start)[0]
         self._start = torch.tensor(start, dtype=torch.float32, device=device)
         self._velocity = torch.zeros(made.scene.model.nv, device=device)
-        self._count = options.curves
+        self._count, self._longest, self._asked = options.curves, options.longest, False
+
+    def _say_if_it_stops(self, limit: Tensor) -> None:
+        """Of episodes (N,) s that are longer than the curves."""
+        self._asked = True
+        if (most := float(limit.max())) > self._longest + 1e-6:
+            warnings.warn(
+                f"Episodes of {most:g} s go on after the {self._longest:g} s for which curves are planned, and the brush then stands "
+                f"still. Set initial_states.longest={most:g}.",
+                stacklevel=2,
+            )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        limit = fields.get("episode_limit")
+        # a GPU captures this, and nothing leaves it
+        if not self._asked and limit is not None and limit.device.type == "cpu":
+            self._say_if_it_stops(limit)
         row = (streams.uniform(1)[:, 0] * self._count).long().clamp(max=self._count - 1)
         return {
             "qpos": self._start.expand(len(row), -1),
@@ -129,8 +145,9 @@ def _drawn(options: Strokes.Options, context: Context) -> Curves:
             break
     else:
         raise ConfigError(
-            f"The arm can follow {options.curves - missing} of {len(wave)} curves of initial_states.size={options.size:g} m. "
-            "Set it to less, or initial_states.curves."
+            f"The arm can follow {options.curves - missing} of {len(wave)} curves of initial_states.size={options.size:g} m, "
+            f"initial_states.height={options.height:g} m above the table. Set it to less, the height otherwise, or initial_states.curves "
+            "to fewer."
         )
     tip, device, pose = palm + reach, context.device, torch.cat(poses)
     return Curves(
@@ -186,10 +203,12 @@ class Stroke(Fields):
         made, curves = self._gripping, self._context.once("strokes", _unmade)
         row = stroke_row.long().clamp(0, len(curves.arms) - 1)
         last = curves.arms.shape[1] - 1
-        frame = (episode_time / DT).round().long()[:, None] + self._steps
+        whole, share = frame_at(episode_time)
+        frame = whole.long()[:, None] + self._steps
         here, after = frame.clamp(0, last), (frame + 1).clamp(0, last)
         arms = curves.arms[row[:, None], here]
-        speed = (curves.arms[row[:, None], after] - arms) / DT
+        way = curves.arms[row[:, None], after] - arms
+        arms, speed = arms + share[:, None, None] * way, way / DT
         hand = made.poses[0, 0].expand(*arms.shape[:2], -1)
         pose = torch.cat([arms, hand], dim=-1)
         velocity = torch.cat([speed, torch.zeros_like(hand)], dim=-1)
@@ -199,6 +218,7 @@ class Stroke(Fields):
         )
         ahead = torch.cat([pose, velocity, gripper], dim=-1)
         wanted = curves.tips[row, here[:, 0]]
+        wanted = wanted + share[:, None] * (curves.tips[row, after[:, 0]] - wanted)
         turn = xquat[:, self._body]
         tip = xpos[:, self._body] + rotations.rotate(turn, self._tip.expand(len(turn), 3))
         away = tip - wanted

@@ -30,6 +30,8 @@ class GarmentScene(ClothScene):
     """A garment with sleeves, V vertices and F triangles."""
 
     recorded = (*ClothScene.recorded, *FELT)
+    #: Whose sleeve it is held by, if it has two and is.
+    held: Side | None = None
 
     def marks(self, tracks: Mapping[str, np.ndarray]) -> Felt | None:
         """What the person feels, where that was recorded."""

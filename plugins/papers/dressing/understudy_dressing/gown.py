@@ -24,6 +24,8 @@ from understudy_warp_torch.tools import Tool
 
 #: m, the patch's radius: some 14 vertices of edges of 25 mm (2018 code).
 _RADIUS = 0.03
+#: Of the way from one sleeve's end to the other's, so much is to the wearer's side at least.
+_BESIDE = 0.5
 
 
 class GownScene(HangingScene):
@@ -55,7 +57,10 @@ class GownScene(HangingScene):
         if context is not None:
             context.inputs.file(f"garment {path}", lambda: [path])
         self._garment: Garment = read_garment(path)
-        borders = [frozenset(hole.tolist()) for hole in holes_of(self._garment.faces)]
+        self.held: Side | None = options.side
+        self._borders = borders = [
+            frozenset(hole.tolist()) for hole in holes_of(self._garment.faces)
+        ]
         ends = set()
         for name in ("left_sleeve", "right_sleeve"):
             if name not in self._garment.loops:
@@ -72,13 +77,28 @@ class GownScene(HangingScene):
             raise ConfigError(
                 f"scenes.cloth.file={path}: left_sleeve and right_sleeve are one loop; name where each ends."
             )
+        one, other = (
+            self._turned[self._garment.loops[f"{name}_sleeve"]].mean(axis=0)
+            for name in ("left", "right")
+        )
+        away = one - other
+        if abs(away[1]) < _BESIDE * np.linalg.norm(away):
+            forward, left, up = (f"{abs(part):.2f}" for part in away)
+            raise ConfigError(
+                f"scenes.cloth.file={path}: the sleeves' ends are not to the left and right of the wearer, but {forward} m forward, {left} "
+                f"to the side and {up} up from each other. Turn the garment about the vertical (scenes.cloth.turn), or correct `up` in that "
+                "file."
+            )
+
+    @cached_property
+    def _turned(self) -> np.ndarray:
+        angle = np.radians(self.options.turn)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])  # fmt: skip
+        return self._garment.positions @ turn.T
 
     @cached_property
     def _x(self) -> np.ndarray:
-        angle = np.radians(self.options.turn)
-        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])  # fmt: skip
-        x = self._garment.positions @ turn.T
-        return x - x[self.patch_of(x)].mean(axis=0)
+        return self._turned - self._turned[self.patch_of(self._turned)].mean(axis=0)
 
     @property
     def laid_out(self) -> np.ndarray:
@@ -112,10 +132,11 @@ class GownScene(HangingScene):
             hole for hole in holes_of(self.faces[near[self.faces].all(axis=1)])
             if not np.isin(hole, end).all()
         ]  # fmt: skip
-        if len(found) != 1:
+        if len(found) != 1 or frozenset(found[0].tolist()) in self._borders:
             raise ConfigError(
-                f"scenes.cloth.loop={self.options.loop:g}: this far from the end of the {side} sleeve, the garment is no tube; give less."
-            )
+                f"scenes.cloth.loop={self.options.loop:g}: this far from the end of the {side} sleeve, "
+                + ("the garment is no tube; give less." if found else "there is no ring of edges yet; give more.")
+            )  # fmt: skip
         middle = x[found[0]].mean(axis=0)
         ring = x[found[0]] - middle
         area = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)

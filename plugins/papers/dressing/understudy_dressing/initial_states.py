@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,9 @@ from understudy_dressing.body import Side
 from understudy_dressing.jacket import JacketScene
 from understudy_dressing.person import PersonScene, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene, Worn
+from understudy_dressing.shirt_state import ShirtState
 from understudy_dressing.sleeve import HangingScene
+from understudy_dressing.state import SleeveState, refuse_other_side
 from understudy_dressing.waypoints import IN_SLEEVE
 
 #: m/s that a gripper goes.
@@ -35,6 +38,8 @@ _DEEP, _DRAWS = 0.03, 8
 class Track(InitialStates):
     """The person neutral, and before it the hanging sleeve, which goes in a straight line to the shoulder
     (section 8.3). The gripper floats there by itself: nothing slows it down. One that is driven begins at rest."""
+
+    reads = ("episode_limit",)
 
     @dataclass(frozen=True)
     class Options:
@@ -69,6 +74,7 @@ class Track(InitialStates):
         person = context.need_scene(PersonScene, who)
         self._pose = neutral_pose(person).to(context.device)
         sleeve = context.need_scene(HangingScene, who)
+        self._refuse_other_shoulder(context, sleeve)
         settled = context.once("dressing/settled", sleeve.settled)
         self._settled = torch.tensor(settled, dtype=torch.float32, device=context.device)
         low, high, end = (
@@ -77,7 +83,19 @@ class Track(InitialStates):
         )
         self._low, self._high, self._end = low, high, end
         self._turns = 3 if person.options.driven else 0
+        self._asked = False
         self._refuse_inside(person, settled)
+
+    def _refuse_other_shoulder(self, context: Context, sleeve: HangingScene) -> None:
+        """A track that does not end on the side of the arm that goes in."""
+        fields = [one.options for one in context.chosen.get("fields", ())]
+        sides = {one.side for one in fields if isinstance(one, SleeveState.Options)}
+        side = sleeve.held or (sides.pop() if len(sides) == 1 else None)
+        if side is not None and self.options.end[1] * (1.0 if side == "left" else -1.0) < 0:
+            raise ConfigError(
+                f"initial_states.end={list(self.options.end)} is on the other side than the {side} arm, which goes in: y is to the "
+                "left. Mirror y of end, low and high, or set side of the fields otherwise."
+            )
 
     def _refuse_inside(self, person: PersonScene, settled: np.ndarray) -> None:
         """Starts, on a grid, at which a part of the neutral person is in the cloth."""
@@ -107,7 +125,21 @@ class Track(InitialStates):
         sides = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
         return np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
 
+    def _say_if_it_goes_on(self, limit: Tensor) -> None:
+        """Of episodes (N,) s that are longer than the track, on whose way nothing stops the sleeve."""
+        self._asked, seconds = True, self.options.seconds
+        if not self._turns and (most := float(limit.max())) > seconds + 1e-6:
+            warnings.warn(
+                f"Episodes of {most:g} s go on after the {seconds:g} s in which the sleeve comes to its end, and the sleeve goes on past "
+                f"the shoulder. Set initial_states.seconds={most:g}, or episode.seconds and evaluation.seconds to {seconds:g}.",
+                stacklevel=2,
+            )
+
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        limit = fields.get("episode_limit")
+        # a GPU captures this, and nothing leaves it
+        if not self._asked and limit is not None and limit.device.type == "cpu":
+            self._say_if_it_goes_on(limit)
         hinges = len(self._pose)
         drawn = streams.uniform(3 + 2 * hinges)
         gripper = self._low + drawn[:, :3] * (self._high - self._low)
@@ -198,6 +230,7 @@ class WornShirt(_Settled):
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'dressing/worn_shirt'"
         shirt = context.need_scene(ShirtScene, who)
+        refuse_other_side(context, ShirtState.Options, options.side, who)
         key = f"dressing/shirt/{options.worn}/{options.side}/{options.other_dressed}"
         bent = IN_SLEEVE if options.worn == "in_sleeve" else IN_SLEEVE[:1]
         settled = context.once(

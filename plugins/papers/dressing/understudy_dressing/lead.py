@@ -15,10 +15,12 @@ import numpy as np
 from torch import Tensor
 
 from understudy.options import check_range
+from understudy.task import Context
 from understudy_dressing.body import Side
 from understudy_dressing.leading import Leading, LeadingOptions, Way
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
+from understudy_dressing.state import SleeveState, refuse_other_side
 from understudy_dressing.waypoints import BACK_AT, BEYOND_AT, HELD_AT, LOWERED_AT, TUCKED_AT
 
 #: Which hand (the one that goes in, or the one that holds) goes to which place: under the hem, and back to the shoulder.
@@ -74,6 +76,9 @@ class Lead(Leading):
                 raise ValueError("taken=true is not possible with held=false: give held=true, too.")
 
     options: Options
+
+    def _refuse_other_arm(self, context: Context) -> None:
+        refuse_other_side(context, SleeveState.Options, self.options.side, "job 'dressing/lead'")
 
     @property
     def _longest(self) -> float:

@@ -9,10 +9,13 @@ import numpy as np
 from torch import Tensor
 
 from understudy.options import check_range
+from understudy.task import Context
 from understudy_dressing.body import Side
 from understudy_dressing.leading import Leading, LeadingOptions, Way
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
+from understudy_dressing.shirt_state import ShirtState
+from understudy_dressing.state import refuse_other_side
 
 
 class LeadGrip(Leading):
@@ -41,6 +44,10 @@ class LeadGrip(Leading):
             check_range(self, "near", least=0.005, most=0.2)
 
     options: Options
+
+    def _refuse_other_arm(self, context: Context) -> None:
+        who = "job 'dressing/lead_grip'"
+        refuse_other_side(context, ShirtState.Options, self.options.side, who, "hand")
 
     @property
     def _longest(self) -> float:

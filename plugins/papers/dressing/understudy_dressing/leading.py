@@ -16,7 +16,7 @@ from understudy.options import check_range
 from understudy.records.runs import Run
 from understudy.setup.building import build_scene, device_of
 from understudy.setup.config import Experiment
-from understudy.task import State
+from understudy.task import Context, State
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
 from understudy_dressing.shirt import ShirtScene
@@ -111,6 +111,9 @@ class Leading(Gathering):
             if places[k].ratio < torn:
                 self._kept["far" if 2 * k < last else "near"].append(at(k))
 
+    def _refuse_other_arm(self, context: Context) -> None:
+        """Refuse a task of another arm than the one that is led."""
+
     @property
     @abstractmethod
     def _longest(self) -> float:
@@ -122,6 +125,7 @@ class Leading(Gathering):
         context = build_scene(experiment)
         self._scene = context.scene
         self._shirt = context.need_scene(ShirtScene, "a job that leads arms")
+        self._refuse_other_arm(context)
         self._every = max(1, round(root.control.decision / root.control.frequency / PERIOD))
         states = bank.starts(self.options.bank, context, "job.bank")
         missing = [name for name in STATE if name not in states]

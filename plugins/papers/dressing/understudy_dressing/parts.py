@@ -116,6 +116,19 @@ class Torques(Actuation):
             raise ConfigError(
                 f"actuation.closed={list(options.closed)} does not fit: the garment has {grips} grips."
             )
+        hinges, simulator = len(person.hinges), context.simulator
+        if not hinges:
+            raise ConfigError(
+                "scenes.person.still leaves no hinge that could move: name fewer of them."
+            )
+        # by itself; a gripper's policy has the person's within it
+        alone = options in [one.options for one in context.chosen.get("actuation", ())]
+        if alone and simulator is not None and simulator.control_size != hinges + grips:
+            raise ConfigError(
+                f"actuation 'dressing/torques' gives {hinges} torques and {grips} grips, and the simulator takes {simulator.control_size} "
+                "controls. Leave the gripper without motors (scenes.person.driven=false), and let a coupling drive all tools "
+                "(couplings.touch.name=composite/tools)."
+            )
         self.action_space = box(len(person.hinges))
         self._most = options.most
         self._closed = torch.tensor(options.closed, dtype=torch.float32, device=context.device)

@@ -14,7 +14,15 @@ from understudy.task import Context, Fields, Shape
 from understudy_dressing.body import SIDES, TIP, Side, Vector, limb, sensors
 from understudy_dressing.person import PersonScene, neutral_pose
 from understudy_dressing.shirt import ShirtScene
-from understudy_dressing.state import Places, in_world, passes, pierces, places_on
+from understudy_dressing.state import (
+    Places,
+    SleeveState,
+    in_world,
+    passes,
+    pierces,
+    places_on,
+    refuse_other_side,
+)
 
 #: m: the target of a grip is so far outside of the patch's middle (2018 code).
 _OUTSIDE = 0.03
@@ -98,6 +106,7 @@ class ShirtState(Fields):
         self.options, device = options, context.device
         who = "fields 'dressing/shirt_state'"
         shirt = context.need_scene(ShirtScene, who)
+        refuse_other_side(context, SleeveState.Options, options.side, who)
         person = context.need_scene(PersonScene, who)
         model = person.spec().compile()
 

@@ -25,6 +25,8 @@ from understudy_warp_torch.tools import Box, Capsule, Shape, Tool
 
 #: The most vertices of a skirt: as many as a shirt has.
 _MOST = 10_000
+#: m: so deep in the body that holds it a skirt may begin, which then gives way.
+_DEEP = 0.01
 
 
 class SkirtScene(ClothScene):
@@ -61,6 +63,12 @@ class SkirtScene(ClothScene):
         name, spec = character_spec(options.character, context.registry or Registry(), context)
         model = spec.compile()
         self.bodies, self._tools = _surfaces(model, name)
+        deep = max(float(_depth(self.mesh[0], shape).max()) for shape in self._tools[0].shapes)
+        if deep > _DEEP:
+            raise ConfigError(
+                f"The skirt would begin {100 * deep:.1f} cm inside the body '{self.bodies[0]}' that holds it: enlarge waist or hem "
+                f"(waist={options.waist:g}, hem={options.hem:g}), or change height={options.height:g}."
+            )
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
@@ -115,6 +123,19 @@ def _surfaces(model: mujoco.MjModel, name: str) -> tuple[tuple[str, ...], tuple[
         raise ConfigError(f"scene 'dressing/skirt' cannot dress '{name}': it has no shapes.")
     names = tuple(model.body(body).name for body in shapes)
     return names, tuple(Tool(tuple(them)) for them in shapes.values())
+
+
+def _depth(points: np.ndarray, shape: Shape) -> np.ndarray:
+    """(P,) m: how deep `points` (P, 3) m of the body's frame are in a box or capsule of it; negative outside."""
+    assert isinstance(shape, (Box, Capsule))
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.asarray(shape.orientation, float))
+    local = np.abs((points - shape.position) @ turn.reshape(3, 3))
+    round_ = isinstance(shape, Capsule)
+    half = np.array((0.0, 0.0, shape.half_length) if round_ else shape.half_extents)
+    beyond = local - half
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    return (shape.radius if round_ else 0.0) - outside - np.minimum(beyond.max(axis=1), 0.0)
 
 
 class Worn(Coupling):

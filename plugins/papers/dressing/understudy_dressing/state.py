@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.task import Context, Fields, Shape
 from understudy_cloth.mesh import face_areas
 from understudy_dressing.body import Side, Vector, limb, sensors
@@ -114,6 +116,34 @@ def _nearest(points: Tensor, sites: Tensor) -> Tensor:
     return squared.argmin(dim=2)
 
 
+def sleeve_for(garment: GarmentScene, side: Side, who: str) -> Mapping[str, np.ndarray]:
+    """The loops of the sleeve that the arm of `side` goes into.
+
+    Raises
+    ------
+    ConfigError
+        the garment is held by its other sleeve.
+    """
+    if garment.held not in (None, side):
+        raise ConfigError(
+            f"{who} is of the {side} arm, and the garment is held by its {garment.held} sleeve: set side={garment.held} there, or "
+            f"scenes.cloth.side={side}."
+        )
+    return garment.sleeve(side)
+
+
+def refuse_other_side(
+    context: Context, kind: type, side: Side, who: str, option: str = "side"
+) -> None:
+    """Refuse `who`, a part of the arm of `side`, where all fields with options of the `kind` have the other arm as their `option`."""
+    theirs = [one for one in context.chosen.get("fields", ()) if isinstance(one.options, kind)]
+    if theirs and side not in [getattr(one.options, option) for one in theirs]:
+        other, where = getattr(theirs[0].options, option), f"{theirs[0].where}.{option}"
+        raise ConfigError(
+            f"{who} is of the {side} arm, and {where}={other}: set both to {side}, or both to {other}."
+        )
+
+
 class LimbProgress(Fields):
     """``limb_progress`` () is the same as ``progress`` of :class:`SleeveState`, computed by itself: memories that read it in every
     control period need no more, and touch costs ten times as much."""
@@ -125,10 +155,12 @@ class LimbProgress(Fields):
     reads = ("xpos", "xquat", "cloth_position")
 
     def __init__(self, options: Options, context: Context) -> None:
-        garment = context.need_scene(GarmentScene, "fields 'dressing/limb_progress'")
-        model = context.need_scene(PersonScene, "fields 'dressing/limb_progress'").spec().compile()
+        who = "fields 'dressing/limb_progress'"
+        garment = context.need_scene(GarmentScene, who)
+        model = context.need_scene(PersonScene, who).spec().compile()
+        refuse_other_side(context, SleeveState.Options, options.side, who)
         self._limb = places_on(model, limb(options.side), context.device)
-        entrance = garment.sleeve(options.side)["entrance"]
+        entrance = sleeve_for(garment, options.side, who)["entrance"]
         self._entrance = torch.from_numpy(entrance.copy()).to(context.device)
         self.provides = {"limb_progress": ()}
 
@@ -177,7 +209,7 @@ class SleeveState(Fields):
         self._limb = places_on(model, limb(options.side), device)
         self._number = torch.arange(len(felt), device=device).unsqueeze(1)
         self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
-        loops = garment.sleeve(options.side)
+        loops = sleeve_for(garment, options.side, who)
         self._loops = {
             name: torch.from_numpy(loop.copy()).to(device) for name, loop in loops.items()
         }

@@ -100,7 +100,7 @@ class Upright:
         least: float = -2.5  #: rad, least value of the reward (2018 code: −2.5, head −1.2)
 
         def __post_init__(self) -> None:
-            check_range(self, "least", least=-100, most=100)
+            check_range(self, "least", least=-100, most=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         person = context.need_scene(PersonScene, "reward 'dressing/upright'")

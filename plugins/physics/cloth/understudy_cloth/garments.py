@@ -262,13 +262,14 @@ def _text(path: Path, most: int) -> str:
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """The lines of an OBJ file by the number of the first, without comments; a backslash at its end joins the next."""
+    """The lines of an OBJ file by the number of the first, without comments; a backslash at the end of a vertex or face joins the
+    next. That of a name may be of a path, ``mtllib C:\\shirts\\``."""
     begun, first = "", 0
     for number, line in enumerate(text.splitlines(), 1):
         line = line.partition("#")[0].rstrip()
         first = first if begun else number
         begun += line.removesuffix("\\") + " "
-        if not line.endswith("\\"):
+        if not line.endswith("\\") or begun.split(None, 1)[:1] not in (["v"], ["f"]):
             yield first, begun
             begun = ""
     if begun:

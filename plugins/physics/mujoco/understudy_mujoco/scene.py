@@ -59,6 +59,10 @@ class MujocoScene(Scene):
         """The same with what is only there to be seen."""
         return self.spec()
 
+    def look(self, model: mujoco.MjModel, tracks: Mapping[str, np.ndarray], frame: int) -> None:
+        """Give the `model`, that of :meth:`shown`, the looks that the world had in a `frame` of what was recorded of it, where
+        worlds differ in looks."""
+
     @cached_property
     def model(self) -> mujoco.MjModel:
         """What :meth:`spec` compiles to, to be looked at."""

@@ -17,6 +17,8 @@ from understudy_skills.controller import Controller
 _ENDLESS = 1e9
 #: Fields of a decision that is judged already, which no actuation can know.
 _JUDGED = ("failed", "succeeded", "violated", "reward")
+#: Of this part: they change with the stage alone.
+_BY_STAGE = ("stage", "stage_count", "stage_limit")
 #: What a part does with a tensor of a shape that it was not made for.
 _MISFITS = (RuntimeError, IndexError, ValueError, TypeError)
 
@@ -45,6 +47,10 @@ class Until:
             raise ValueError(
                 f"field={self.field} is known only once a decision is judged: name what it is judged by."
             )
+        if self.field in _BY_STAGE:
+            raise ValueError(
+                f"field={self.field} stays as it is until a stage is done: name what that is judged by, or stage_seconds."
+            )
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,13 @@ class Stage:
     def __post_init__(self) -> None:
         if self.seconds is not None:
             check_range(self, "seconds", above=0)
-            if self.until.lasting > self.seconds:
+            until, what = self.until, f"until.lasting={self.until.lasting:g}"
+            first = (until.at_least or 0.0) if until.field == "stage_seconds" else 0.0
+            if first > 0.0:
+                what = f"until.at_least={first:g} of stage_seconds"
+            if first + until.lasting > self.seconds:
                 raise ValueError(
-                    f"seconds={self.seconds:g} is over before until.lasting={self.until.lasting:g} can be: give the stage "
-                    "more seconds."
+                    f"seconds={self.seconds:g} is over before {what} can be: give the stage more seconds."
                 )
 
 
