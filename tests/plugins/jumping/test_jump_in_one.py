@@ -17,6 +17,7 @@ from understudy.records import checkpoint
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
+from understudy_jumping.approach import beside
 from understudy_skills import bank
 from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.skill import open_skill
@@ -87,7 +88,8 @@ def test_a_pack_of_both_plays_both(
     assert main(["evaluate", str(file), "half_step=false", "episodes=2"]) == 0
     (made,) = (tmp_path / "runs" / "skills").iterdir()
     judged = [json.loads(next(p.glob("evaluation*.json")).read_text()) for p in (played, made)]
-    assert judged[0]["measures"] == judged[1]["measures"], "it does what the run does"
+    means = [{name: m["mean"] for name, m in one["measures"].items()} for one in judged]
+    assert means[0] == means[1], "it does what the run does"
 
 
 def test_the_licence_of_a_pack_names_the_bank_that_it_was_given(
@@ -136,6 +138,9 @@ def whole(runs: Path, *more: str) -> Environment:
     found = build_environment(experiment, evaluating=True).environment
     found.reset(seed=0)
     return found
+
+
+READ = ("ended", "ended_at", "approach_goal")
 
 
 def at_the_take_off(environment: Environment) -> torch.Tensor:
@@ -203,6 +208,29 @@ def test_who_takes_off_behind_the_bar_has_cleared_nothing(runs: Path, tmp_path: 
     found = json.loads((tmp_path / "there" / "evaluation.json").read_text())
     assert found["success_rate"] == 0.0
     assert found["violated"]["crashed"] == 1.0
+
+
+def test_a_run_up_that_ends_beside_its_place_is_brought_there(runs: Path) -> None:
+    """By what the measures say: the world is the same everywhere on the ground."""
+    apart = "initial_states.alpha=1.0"  # far from the clip's own heading
+    environment = whole(runs, apart)
+    root = at_the_take_off(environment)[:2]
+    goal = environment.table["approach_goal"][0]
+    measured = [
+        beside(*(environment.table[name] for name in READ), axis=axis)[0].item() for axis in (0, 1)
+    ]
+    assert measured == pytest.approx((root - goal).tolist(), abs=1e-5)
+    environment.close()
+    corrected = whole(runs, apart, f"initial_states.beside={measured}")
+    assert at_the_take_off(corrected)[:2].tolist() == pytest.approx(goal.tolist(), abs=2e-3)
+    corrected.close()
+
+
+def test_a_run_up_that_never_ended_is_nowhere() -> None:
+    places = torch.tensor([[1.0, 2.0, 0.9], [1.0, 2.0, 0.9]])
+    found = beside(torch.tensor([1.0, 0.0]), places, torch.tensor([[0.5, 0.0]] * 2))
+    assert found[0] == 0.5
+    assert found[1].isnan()
 
 
 def test_a_start_after_the_clip_is_refused(runs: Path) -> None:

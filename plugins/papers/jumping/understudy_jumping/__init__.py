@@ -47,6 +47,9 @@ PARTS = {
         "jumping/feet_first": ("terms:feet_first", "the feet before anything else"),
         "jumping/match": ("run_up:match", "the take-off that is wanted"),
     },
+    "measure": {
+        "jumping/beside": ("approach:beside", "how far beside its place a run-up ended"),
+    },
     "curriculum": {
         "jumping/accumulated": ("curriculum:Accumulated", "a higher bar for enough reward"),
     },

@@ -26,12 +26,15 @@ class Approach(InitialStates):
     """The clip's state at the time `begin`, turned and moved so that a run-up from there ends where a jump begins, the
     obstacle at `alpha`: where the bank has the run-up's ends, in the clip's frame.
 
-    ``approach_turn`` () rad and ``approach_shift`` (2,) m bring the clip's frame there.
+    ``approach_turn`` () rad and ``approach_shift`` (2,) m bring the clip's frame there; ``approach_goal`` (2,) m is where the run-up is
+    to end. Friction is a pyramid along the world's axes and does not turn with the clip, so that a run-up ends elsewhere in its turned
+    frame: measure `jumping/beside` says where, and `beside` takes it back.
     """
 
     reads = ("difficulty",)
     episode_fields: Mapping[str, Shape] = {
         **EPISODE_FIELDS, **CLIP_FIELDS, "approach_turn": (), "approach_shift": (2,),
+        "approach_goal": (2,),
     }  # fmt: skip
     varies = (f"mocap_pos/{MAT}",)
 
@@ -45,15 +48,19 @@ class Approach(InitialStates):
         distance: Distance = field(
             default_factory=Distance
         )  #: m, how far from the obstacle it ends
+        #: m across the obstacle and along it, by which run-ups end beside their place: the measures beside_x and beside_y
+        beside: tuple[float, float] = (0.0, 0.0)
 
         def __post_init__(self) -> None:
             check_range(self, "begin", least=0)
+            check_range(self, "beside", least=-100, most=100)
             check_range(self, "alpha", least=-100, most=100)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/approach'"
         scene = context.need_scene(CharacterScene, who)
         self._arena, self._distance = arena_of(context, who), options.distance
+        self._beside = torch.tensor(options.beside, device=context.device)
         states = athletes_states(options.file, context, scene)
         ends, moving = (states[name].to(context.device) for name in ("qpos", "qvel"))
         self._at, self._dof = at, dof = scene.layout.root_address, scene.layout.root_dof
@@ -77,7 +84,7 @@ class Approach(InitialStates):
         turn, alpha = self._turn[row], self._alpha[row]
         goal = torch.zeros_like(self._end[row])
         goal[:, 0] = -self._distance.at(self._arena.rho(difficulty), alpha)
-        shift = goal - _in_plane(self._end[row], turn)
+        shift = goal - self._beside - _in_plane(self._end[row], turn)
         qpos = self._begin["qpos"].repeat(len(row), 1)
         qvel = self._begin["qvel"].repeat(len(row), 1)
         about = rotations.from_heading(turn)
@@ -91,6 +98,7 @@ class Approach(InitialStates):
             "takeoff_features": self._features[row],
             "approach_turn": turn,
             "approach_shift": shift,
+            "approach_goal": goal,
             **obstacle_at(self._arena, difficulty),
         }
 
@@ -117,6 +125,17 @@ class Approached(Fields):
             "approached_position": torch.cat([level, reference_root_position[:, 2:]], dim=1),
             "approached_heading": reference_root_heading + approach_turn,
         }
+
+
+def beside(
+    ended: Tensor,
+    ended_at: Tensor,
+    approach_goal: Tensor,
+    *,
+    axis: int = 0,  #: 0: across the obstacle, forward; 1: along it
+) -> Tensor:
+    """m by which a run-up that ``ended`` did so at ``ended_at`` (N, 3), beside its place; NaN of others."""
+    return torch.where(ended != 0, ended_at[:, axis] - approach_goal[:, axis], torch.nan)
 
 
 def _in_plane(place: Tensor, turn: Tensor) -> Tensor:
