@@ -48,7 +48,7 @@ def neither(name: str) -> str:
 NEEDED: dict[str, Any] = {
     "bank": "bank", "clips": ("clip",), "distinct": 1.0, "feature_field": "x", "file": "file", "features": {"measure": Feature(low=0.0, high=1.0)},
     "high": {"x": 2.0}, "length": 2, "low": {"x": 1.0}, "parameters": {"x": Parameter(low=1.0, high=2.0)},
-    "run": "run", "runs": ("run",), "search": "search", "seconds": 1.0, "style": "style", "threshold": 1.0,
+    "run": "run", "runs": ("run",), "search": "search", "seconds": 1.0, "shape": (3,), "style": "style", "threshold": 1.0,
     "trials": 10,
 }  # fmt: skip
 
