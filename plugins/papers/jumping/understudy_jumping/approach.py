@@ -20,6 +20,7 @@ from understudy_jumping.initial_states import EPISODE_FIELDS, Distance, athletes
 from understudy_jumping.run_up import takeoff_features
 from understudy_jumping.takeoff import Takeoff
 from understudy_tensors import rotations
+from understudy_tensors.limits import limits
 
 
 class Approach(InitialStates):
@@ -127,6 +128,7 @@ class Approached(Fields):
         }
 
 
+@limits(axis=(0, 1))
 def beside(
     ended: Tensor,
     ended_at: Tensor,
