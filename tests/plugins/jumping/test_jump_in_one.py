@@ -217,7 +217,7 @@ def test_a_run_up_that_ends_beside_its_place_is_brought_there(runs: Path) -> Non
     root = at_the_take_off(environment)[:2]
     goal = environment.table["approach_goal"][0]
     measured = [
-        beside(*(environment.table[name] for name in READ), axis=axis)[0].item() for axis in (0, 1)
+        beside(*(environment.table[name] for name in READ), index=axis)[0].item() for axis in (0, 1)
     ]
     assert measured == pytest.approx((root - goal).tolist(), abs=1e-5)
     environment.close()

@@ -128,16 +128,16 @@ class Approached(Fields):
         }
 
 
-@limits(axis=(0, 1))
+@limits(index=(0, 1))
 def beside(
     ended: Tensor,
     ended_at: Tensor,
     approach_goal: Tensor,
     *,
-    axis: int = 0,  #: 0: across the obstacle, forward; 1: along it
+    index: int = 0,  #: 0: across the obstacle, forward; 1: along it
 ) -> Tensor:
     """m by which a run-up that ``ended`` did so at ``ended_at`` (N, 3), beside its place; NaN of others."""
-    return torch.where(ended != 0, ended_at[:, axis] - approach_goal[:, axis], torch.nan)
+    return torch.where(ended != 0, ended_at[:, index] - approach_goal[:, index], torch.nan)
 
 
 def _in_plane(place: Tensor, turn: Tensor) -> Tensor:
