@@ -239,3 +239,9 @@ def test_first_trials_need_not_count(counts: bool, share: float) -> None:
         book.tell(Report(trial.key, "ok", 1.0, cost=cost))
     assert book.spent(3) == pytest.approx(share)
     assert book.done == pytest.approx(share)
+
+
+def test_what_is_searched_is_no_fidelity() -> None:
+    """The fidelity's value took the place of the point's."""
+    with pytest.raises(ConfigError, match=r"fidelity\.option=a\.x is not possible: it is among"):
+        Book(SearchOptions(parameters=SPACE, trials=20), Fidelity("a.x", low=0.1, high=0.9))

@@ -109,3 +109,9 @@ def test_between_two_whole_numbers_there_is_nothing() -> None:
     (gradient,) = torch.autograd.grad((rounded * 3).sum(), x)
     assert gradient.tolist() == [[3.0] * 3] * 2
     assert Space({"b": Parameter(0, 2)}).rounded(x) is x
+
+
+def test_a_whole_fidelity_ends_at_whole_numbers() -> None:
+    """The trial that counts was at 2000 of 2000.5, so no trial counted."""
+    with pytest.raises(ValueError, match=r"integer=true is not possible with low=200\.5"):
+        Fidelity("budget.samples", low=200.5, high=2000.5, integer=True)

@@ -134,3 +134,26 @@ def test_a_camera_may_look_straight_down_or_up(tmp_path: Path, above: float) -> 
     assert rotation[:, 2] == pytest.approx([0, 0, -math.copysign(1, above)])
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("chair", "why"),
+    [
+        ({**CHAIR, "heading": 90.0}, "heading 90 is more than a turn: give it in rad"),
+        (
+            {**{k: v for k, v in CHAIR.items() if k != "heading"}, "yaw": 1.57},
+            "yaw is not read: give an object's heading, in rad",
+        ),
+    ],
+)
+def test_a_heading_by_another_unit_or_name_is_refused(
+    chair: dict[str, Any], why: str, tmp_path: Path
+) -> None:
+    """The object would face elsewhere without a word."""
+    with pytest.raises(FileError, match=why):
+        read_room(scene(tmp_path, objects=[chair]))
+
+
+def test_beside_a_heading_a_detector_may_say_more(tmp_path: Path) -> None:
+    (box,) = read_room(scene(tmp_path, objects=[{**CHAIR, "score": 0.9, "yaw": 1.57}])).boxes
+    assert box.heading == pytest.approx(math.pi / 2)

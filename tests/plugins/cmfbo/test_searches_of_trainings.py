@@ -110,7 +110,41 @@ def test_a_difficulty_that_only_the_curriculum_uses(tmp_path: Path) -> None:
         "outer_loop.parameters={learner.epochs: {low: 1, high: 8, integer: true}}",
         "curriculum={name: linear, samples: 128, knots: {episode_limit: [[0.0, 0.5], [1.0, 1.0]]}}",
         "num_worlds=8", "budget.samples=256", "evaluation.episodes=4", "evaluation.seconds=0.5",
-        "executor=in_process", "run.video_seconds=0", f"run.dir={tmp_path}",
+        "evaluation.objective=return", "executor=in_process", "run.video_seconds=0", f"run.dir={tmp_path}",
     ]  # fmt: skip
     assert main(command) == 0
     assert rows(tmp_path)[-1]["report"]["status"] == "ok"
+
+
+@pytest.mark.parametrize("loop", ["random_search", "gp_ucb", "boca", "cmfbo"])
+def test_a_search_without_an_objective_is_refused(
+    loop: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ran, ranked nothing, and said so nowhere; before a trial, and with what could be maximised."""
+    command = [
+        "sweep", "experiment=miniature/go", f"outer_loop={loop}", "outer_loop.trials=2",
+        "outer_loop.parameters={learner.epochs: {low: 1, high: 8, integer: true}}",
+        "executor=in_process", f"run.dir={tmp_path / 's'}",
+    ]  # fmt: skip
+    assert main(command) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "evaluation.objective=success_rate, and nothing in this task says" in said
+    assert "(distance, return)" in said
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_finished_trial_is_listed_as_finished(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [
+        "sweep", "experiment=miniature/go", "outer_loop=random_search", "outer_loop.trials=1",
+        "outer_loop.parameters={learner.gamma: {low: 0.9, high: 0.99}}", "evaluation.objective=return",
+        "num_worlds=8", "budget.samples=256", "evaluation.episodes=4", "evaluation.seconds=0.5",
+        "executor=in_process", "run.video_seconds=0", f"run.dir={tmp_path}",
+    ]  # fmt: skip
+    assert main(command) == 0
+    capsys.readouterr()
+    assert main(["runs", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "trial0" in said
+    assert "unfinished" not in said

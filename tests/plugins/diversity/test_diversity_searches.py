@@ -503,3 +503,15 @@ def test_an_archive_of_too_many_cells_is_refused() -> None:
     """As of a rotation's six numbers; it would not fit any memory."""
     with pytest.raises(ValueError, match="fewer features"):
         MapElites.Options(**rotation_options())
+
+
+def test_what_has_no_objective_is_no_elite() -> None:
+    """It counted as 0 and took the cell of one below that: steps then went out from it."""
+    loop = make(MapElites, initial=1, step=1e-6)
+    for number, (x, objective) in enumerate([(0.9, -1.0), (0.1, None)]):
+        trial = Trial(f"trial{number}", point={"a.x": x, "a.y": 0.5})
+        loop.recall(trial)
+        loop.tell(Report(trial.key, "ok", objective, {"angle": 1.0, "success_rate": 1.0}, 10.0))
+    trial = loop.ask(2)
+    assert trial is not None
+    assert trial.point["a.x"] == pytest.approx(0.9, abs=1e-3)

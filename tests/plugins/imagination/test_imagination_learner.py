@@ -13,6 +13,8 @@ import torch
 from imagined_walk import WALK
 from worlds import assert_same_state, make_training, resumed
 
+from understudy.errors import ConfigError
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_plugin
 from understudy.testing.capture import nothing_waits
@@ -263,3 +265,11 @@ def test_on_a_gpu_steps_can_be_captured(
     for samples in (0, 32, 64, 96):
         one.iterate(samples)
     assert set(watched) == {"_take_step", "_step_back"}
+
+
+def test_a_learner_without_a_goal_is_refused() -> None:
+    """With neither weight the policy learned small actions alone."""
+    words = ["experiment=spacetime/walk_imagined", "learner.margin_weight=0"]
+    load_experiment(words)
+    with pytest.raises(ConfigError, match=r"margin_weight=0 is not possible with reward_weight=0"):
+        load_experiment([*words, "learner.reward_weight=0"])

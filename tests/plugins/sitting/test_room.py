@@ -117,3 +117,23 @@ def test_a_room_whose_name_has_an_apostrophe_is_found(
     room = load_experiment(words).sections["room"]
     assert isinstance(room, RoomOptions)
     assert room.file == str(scene)
+
+
+@pytest.mark.parametrize(
+    ("centre", "size", "why"),
+    [
+        ([0, 0, 450], [500, 500, 900], r"900 m long, and chairs are 0\.2 to 3 m"),
+        ([0, 0, 2.45], [0.5, 0.5, 0.9], r"2\.00 m above the floor"),
+        ([0, 0, 0], [0.5, 0.5, 0.9], r"0\.45 m below the floor.*middle of its box"),
+    ],
+)
+def test_a_chair_elsewhere_or_of_another_unit_is_refused(
+    centre: list[float], size: list[float], why: str, tmp_path: Path
+) -> None:
+    """It was put on the floor, and cut to a chair's size, without a word."""
+    (tmp_path / "room.json").write_text(json.dumps({
+        "camera": {"position": [3, 0, 1], "look_at": [1, 0, 1], "fov": 50},
+        "objects": [{"label": "chair", "centre": centre, "size": size}],
+    }))  # fmt: skip
+    with pytest.raises(FileError, match=why):
+        Room(RoomOptions(str(tmp_path / "room.json")), installed().registry, Inputs())

@@ -105,7 +105,11 @@ def test_a_chair_may_be_a_mesh(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("size", "scale", "said"),
     [
-        (40.0, 1.0, r"40 m long at chair\.mesh_scale=1.* Give chair\.mesh_scale=0\.01\."),
+        (
+            40.0,
+            1.0,
+            r"40 m long at chair\.mesh_scale=1.* Give chair\.mesh_scale=0\.01\. Of inches it is 0\.0254\.",
+        ),
         (1000.0, 0.01, r"10 m long at chair\.mesh_scale=0\.01.* Give chair\.mesh_scale=0\.001\."),
         (1.0, 0.001, r"0\.001 m long .* Give chair\.mesh_scale=1\."),
         (7.0, 1.0, r"7 m long .* Give another chair\.mesh_scale\."),
@@ -136,6 +140,40 @@ def test_a_mesh_beside_the_floor_is_said(
     told = [str(w.message) for w in recwarn if "begins 0.30 m" in str(w.message)]
     assert len(told) == (1 if low else 0)
     assert all(("below the floor" if low < 0 else "above the floor") in t for t in told)
+
+
+@pytest.mark.parametrize(
+    ("heights", "aside", "said"),
+    [
+        ((0.45,), 0.0, ""),
+        ((0.42, 0.47), 0.0, ""),
+        ((0.55, 0.6), 0.0, "is 0.60 m high in its middle, as convex parts"),
+        ((0.35,), 0.0, "Give chair.seat_height=0.35, or"),
+        ((0.45,), 0.5, "has nothing above x = y = 0"),
+    ],
+)
+def test_a_mesh_whose_seat_is_elsewhere_is_said(
+    tmp_path: Path,
+    heights: tuple[float, ...],
+    aside: float,
+    said: str,
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    """The figure sat on the mesh and never on the seat, so that no trial succeeded. `heights` are those of the
+    upper sides of parts, one on another."""
+    path, low, boxes = tmp_path / "chair.ply", 0.0, []
+    for high in heights:
+        box = trimesh.creation.box((0.4, 0.4, high - low - 1e-3))
+        box.apply_translation((aside, 0.0, 0.5 * (low + high + 1e-3)))
+        boxes.append(box)
+        low = high
+    trimesh.util.concatenate(boxes).export(path)
+    spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
+    spec.worldbody.add_body(name="root").add_geom(size=[0.1, 0, 0])
+    Chair(ChairOptions(mesh=str(path)), installed().registry, Inputs()).add(spec)
+    told = [str(w.message) for w in recwarn if "chair.seat_height=" in str(w.message)]
+    assert len(told) == bool(said)
+    assert all(said in t for t in told)
 
 
 def test_an_impossible_chair_is_refused() -> None:

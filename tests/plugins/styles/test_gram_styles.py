@@ -186,6 +186,10 @@ def test_a_clip_shorter_than_a_window_is_named(context: Context) -> None:
     clip = library.load("sit", None, installed().registry)
     with pytest.raises(RunError, match=r"frames at 30 Hz.*job\.window"):
         clip_features(clip, scene_of(context), DT, 10_000)
+    with pytest.raises(
+        RunError, match="Clip sit has"
+    ):  # every generated one is of the source 'generated'
+        clip_features(clip, scene_of(context), DT, 10_000, "sit")
 
 
 def test_a_styled_run_trains(trained: Path) -> None:
@@ -197,3 +201,13 @@ def test_a_styled_run_trains(trained: Path) -> None:
     assert isinstance(training.job, Reinforcement)
     assert training.job.environment.table["feature_history"].shape == (8, 24, 50)
     training.close()
+
+
+def test_windows_are_as_long_as_the_history(trained: Path, context: Context) -> None:
+    """Else the reference is not at 1."""
+    options = GramDistance.Options(run=str(trained), style="walk", frames=24)
+    fields = GramDistance(options, context)
+    size = 3 * len(scene_of(context).layout.link_names) + 5
+    fields.compute(torch.zeros(2, 24, size))
+    with pytest.raises(ConfigError, match=r"frames=24 is not possible: feature_history has 5"):
+        fields.compute(torch.zeros(2, 5, size))

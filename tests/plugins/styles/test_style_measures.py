@@ -190,3 +190,13 @@ def test_accelerations_are_changes_of_velocity(walking: dict[str, Tensor]) -> No
     torch.testing.assert_close(
         walking["link_accelerations"][:, chest], expected, rtol=1e-4, atol=1e-4
     )
+
+
+def test_an_exchanged_range_of_energies_is_refused() -> None:
+    """It rewarded the opposite."""
+    words = ["experiment=spacetime/walk", "+style=low_energy"]
+    load_experiment([*words, "reward.terms.style.least=30"])
+    with pytest.raises(
+        ConfigError, match=r"reward\.terms\.style\.least=100 is not possible: it must be less than"
+    ):
+        load_experiment([*words, "reward.terms.style.least=100", "reward.terms.style.most=20"])

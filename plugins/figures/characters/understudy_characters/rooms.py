@@ -32,6 +32,9 @@ __all__ = ["Box", "Camera", "RoomScene", "add_boxes", "read_room", "seen_from"]
 
 #: Objects that a scene may have; a detector reports some dozens.
 MOST = 64
+#: By which detectors name an object's direction; without its heading it would face along x.
+_OTHER_HEADINGS = {"angle", "orientation", "quaternion", "rotation", "theta", "yaw"}
+_TURN = 6.3  #: rad, the most that a heading is
 _LARGEST = 1 << 24  #: bytes of its file
 _COLOURS = {
     "wall": (0.86, 0.84, 0.8, 1.0),
@@ -127,7 +130,12 @@ def _box(item: Mapping[str, Any]) -> Box:
     centre, size = _numbers(item["centre"], 3), _numbers(item["size"], 3)
     if min(size) <= 0:
         raise ValueError(f"size {list(size)} is not positive")
+    unread = sorted(_OTHER_HEADINGS & item.keys())
+    if "heading" not in item and unread:
+        raise ValueError(f"{unread[0]} is not read: give an object's heading, in rad about z")
     (heading,) = _numbers([item.get("heading", 0.0)], 1)
+    if abs(heading) > _TURN:
+        raise ValueError(f"heading {heading:g} is more than a turn: give it in rad")
     return Box(str(item["label"]), centre, size, heading)  # type: ignore[arg-type]
 
 

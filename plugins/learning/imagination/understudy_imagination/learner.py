@@ -137,6 +137,11 @@ class Imagination(Learner):
             check_range(self, "clip", "step", "learning_rate", "critic_learning_rate", above=0)
             check_range(self, "margin_norm", "margin_power", least=1.0)
             check_range(self, "margin_weight", "action_weight", "reward_weight", least=0)
+            if self.margin_weight == self.reward_weight == 0:
+                raise ValueError(
+                    "margin_weight=0 is not possible with reward_weight=0: nothing but small actions would be learned. "
+                    "Give one of them."
+                )
 
     def __init__(self, options: Options, context: Context, policy: Policy) -> None:
         scene = context.need_scene(MujocoScene, _WHO)

@@ -30,6 +30,8 @@ class MapElites(StrategySearch):
     archive is made anew from what was told whenever a trial is asked for.
     """
 
+    maximises = True
+
     @dataclass(frozen=True)
     class Options(DiversityOptions):
         cells: int = 20  #: how many cells the grid has along each feature
@@ -70,9 +72,14 @@ class MapElites(StrategySearch):
         ranges = [(feature.low, feature.high) for feature in options.features.values()]
         cells = [options.cells] * len(ranges)
         archive = GridArchive(solution_dim=d, dims=cells, ranges=ranges, seed=0)
-        shown = [s for s in self.strategies.finished() if s.feature is not None]
+        shown = [
+            s
+            for s in self.strategies.finished()
+            if s.feature is not None
+            and s.report.objective is not None  # which would beat one below 0
+        ]
         if shown:
             x, _ = self.strategies.book.places([s.trial for s in shown])
-            worth = torch.tensor([s.report.objective or 0.0 for s in shown])
+            worth = torch.tensor([s.report.objective for s in shown])
             archive.add(x.numpy(), worth.numpy(), np.array([s.feature for s in shown]))
         return archive

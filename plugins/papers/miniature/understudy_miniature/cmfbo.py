@@ -23,6 +23,8 @@ class RandomFidelity(OuterLoop):
     ``margin`` is stopped.
     """
 
+    maximises = True
+
     @dataclass(frozen=True)
     class Options:
         low: Mapping[str, float]  #: by option of the configuration, the least value that is drawn

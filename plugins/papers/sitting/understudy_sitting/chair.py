@@ -8,13 +8,14 @@ It is a mocap body, so worlds and episodes may have it anywhere (``mocap_pos/cha
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import torch
+from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 from understudy.errors import ConfigError
@@ -115,13 +116,12 @@ def _check_size(path: Path, points: np.ndarray, scale: float) -> None:
     least, most = _LONG
     longest = float(np.ptp(points, axis=0).max())
     if not least <= longest <= most:
-        better = next(
-            (s for s in (1.0, 0.01, 0.001, 0.0254) if 0.3 <= longest / scale * s <= 2.0), None
-        )
-        hint = f"chair.mesh_scale={better:g}" if better else "another chair.mesh_scale"
+        better = [f"{s:g}" for s in (1.0, 0.01, 0.001, 0.0254) if 0.3 <= longest / scale * s <= 2.0]
+        hint = f"chair.mesh_scale={better[0]}." if better else "another chair.mesh_scale."
+        hint += f" Of inches it is {better[-1]}." if better[1:] else ""
         raise ConfigError(
             f"The mesh {path} is {longest:.3g} m long at chair.mesh_scale={scale:g}, and chairs are {least:g} to "
-            f"{most:g} m. Give {hint}."
+            f"{most:g} m. Give {hint}"
         )
     if abs(low := float(points[:, 2].min())) > _OFF:
         where = f"{abs(low):.2f} m {'above' if low > 0 else 'below'} the floor"
@@ -130,6 +130,45 @@ def _check_size(path: Path, points: np.ndarray, scale: float) -> None:
             "z = 0; glTF files often have y up.",
             stacklevel=2,
         )
+
+
+#: m, that a mesh's surface may be from the seat's height.
+_BESIDE = 0.05
+
+
+def _check_seat(path: Path, parts: Sequence[np.ndarray], height: float) -> None:
+    """Warn of a mesh whose `parts` (V, 3) m have no surface at this `height` in the middle, where the seat is: the
+    figure would sit on something else, and count as one that does not sit."""
+    tops = [top for part in parts if (top := _top(part)) is not None]
+    if tops:
+        top = max(tops)
+        if abs(top - height) <= _BESIDE:
+            return
+        what = f"is {top:.2f} m high in its middle, as convex parts"
+        better = (
+            f"chair.seat_height={top:.2f}" if 0.2 <= top <= 1.0 else "another chair.seat_height"
+        )
+        then = f"Give {better}, or a mesh whose seat is a part of its own."
+    else:
+        what, then = "has nothing above x = y = 0", "Move it there, or the figure sits beside it."
+    warnings.warn(
+        f"The mesh {path} {what}, and chair.seat_height={height:g} says that one sits there. {then}",
+        stacklevel=2,
+    )
+
+
+def _top(points: np.ndarray) -> float | None:
+    """m, the height of the convex hull of `points` (V, 3) above x = y = 0; None where it is not there."""
+    try:
+        slopes = ConvexHull(points).equations  # n · x + d ≤ 0 inside
+    except QhullError:  # it is flat
+        return None
+    upright, rest = slopes[:, 2], slopes[:, 3]
+    level = np.abs(upright) < 1e-9
+    bounds = -rest[~level] / upright[~level]
+    up = upright[~level] > 0
+    top, bottom = float(bounds[up].min()), float(bounds[~up].max())
+    return top if top >= bottom and (rest[level] <= 1e-9).all() else None
 
 
 class Chair(Surroundings):
@@ -151,6 +190,7 @@ class Chair(Surroundings):
             path = self._inputs.file(f"chair.mesh={path}", lambda: [path])
             parts = convex_parts(path, self.options.mesh_scale)
             _check_size(path, np.concatenate(parts), self.options.mesh_scale)
+            _check_seat(path, parts, self.options.seat_height)
             for number, vertices in enumerate(parts):
                 name = f"chair_part{number}"
                 spec.add_mesh(name=name, uservert=vertices.flatten().tolist())

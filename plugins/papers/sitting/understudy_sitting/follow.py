@@ -86,12 +86,12 @@ class Follower(World):
 class Follow(Command):
     """Shows the figure in the browser, where a click on the floor sends it, or films a walk around."""
 
-    example = "understudy sitting follow sitting/meta"
+    example = "understudy sitting follow sitting/walk"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "runs", nargs="*", metavar="RUN", default=_SKILLS,
-            help="the run folders or skills of walk, and of turn_left and turn_right (default: %(default)s)",
+            help=f"the run folders or skills of walk, and of turn_left and turn_right (default: {' '.join(_SKILLS)})",
         )  # fmt: skip
         parser.add_argument(
             "--video",

@@ -28,6 +28,33 @@ def chair_sizes(box: Box) -> dict[str, float]:
     return {name: round(min(max(size, 0.2), 1.4), 3) for name, size in sizes.items()}
 
 
+#: m: lengths of a chair's box, and how far from the floor a detector may see its lower side.
+_LENGTHS, _OFF = (0.2, 3.0), 0.2
+
+
+def _check_chair(box: Box, number: int) -> None:
+    """Refuse a chair of no chair's size, or one that does not stand on the floor: its scene is in other units, or has
+    its floor elsewhere.
+
+    Raises
+    ------
+    FileError
+        if it is that.
+    """
+    (least, most), longest = _LENGTHS, max(box.size)
+    if not least <= longest <= most:
+        raise FileError(
+            f"room.chair={number}: this chair is {longest:.3g} m long, and chairs are {least:g} to {most:g} m. Give the "
+            "scene's lengths in m."
+        )
+    low = box.centre[2] - 0.5 * box.size[2]
+    if abs(low) > _OFF:
+        raise FileError(
+            f"room.chair={number}: this chair begins {abs(low):.2f} m {'above' if low > 0 else 'below'} the floor. A "
+            "scene has its floor at z = 0, and an object's centre is the middle of its box: correct the scene."
+        )
+
+
 @dataclass(frozen=True)
 class RoomOptions:
     """Which room, and which of its chairs."""
@@ -59,6 +86,7 @@ class Room(Surroundings):
             raise FileError(
                 f"room.chair={options.chair}: the scene has {len(chairs)} chairs, from 0."
             )
+        _check_chair(chairs[options.chair], options.chair)
         self.boxes, self.camera = seen_from(scene, chairs[options.chair])
         middle = (0.0, 0.0, chairs[options.chair].centre[2])
         if taken := next((box for box in self.boxes if box.holds(middle)), None):

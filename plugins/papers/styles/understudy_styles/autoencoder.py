@@ -109,7 +109,7 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         found: dict[str, list[Tensor]] = {"training": [], "held_out": []}
         for source in self.options.clips:
             clip = library.find(source, self._registry)
-            frames = clip_features(clip, self._scene, self._dt, window)
+            frames = clip_features(clip, self._scene, self._dt, window, source)
             split = len(frames) - max(len(frames) // 5, 0)
             parts = (frames[:split], frames[split:])
             if min(map(len, parts)) < window:

@@ -54,9 +54,12 @@ class MotionFeatures(Fields):
         return {"motion_features": frame_features(**fields)}
 
 
-def clip_features(clip: Clip, scene: CharacterScene, dt: float, least: int) -> Tensor:
+def clip_features(
+    clip: Clip, scene: CharacterScene, dt: float, least: int, name: str = ""
+) -> Tensor:
     """(F, 3 L + 5) of the character in `scene` moving as `clip`, every `dt` s; a looping clip goes on
-    for `least` frames, so that windows of so many begin at each of its phases.
+    for `least` frames, so that windows of so many begin at each of its phases. `name` is what
+    it is called where it is refused.
 
     Raises
     ------
@@ -68,8 +71,8 @@ def clip_features(clip: Clip, scene: CharacterScene, dt: float, least: int) -> T
         frames = max(frames, least) + least
     if frames < least:
         raise RunError(
-            f"Clip {clip.source} has {frames} frames at {1 / dt:g} Hz, and a window has {least}. "
-            "Leave the clip out, or make windows shorter (job.window)."
+            f"Clip {name or clip.source} has {frames} frames at {1 / dt:g} Hz, and a window has {least}. "
+            "Leave the clip out, or make windows shorter (job.window, fields.gram.frames)."
         )
     reference = ReferenceMotion(clip, scene.character, scene.layout, control_dt=dt)
     found = reference.sample(torch.arange(frames) * dt)

@@ -48,21 +48,29 @@ class GramDistance(Fields):
         kept = context.inputs.file(f"features {options.run}", lambda: files_of(options.run)).parent
         network = trained_network(str(kept), scene, context.registry)
 
-        def gram_of(clip: Clip) -> Tensor:
-            frames = clip_features(clip, scene, context.control_dt, options.frames)
+        def gram_of(clip: Clip, name: str = "") -> Tensor:
+            frames = clip_features(clip, scene, context.control_dt, options.frames, name)
             return mean_gram(network, frames, options.frames)
 
-        style = gram_of(library.kept(options.style, context.registry, context.inputs))
+        style = gram_of(
+            library.kept(options.style, context.registry, context.inputs), options.style
+        )
         unit = (style - gram_of(motion.clip)).norm()
         if float(unit) < 1e-6:
             raise ConfigError(
                 f"fields 'styles/gram': {options.style} has the style of the reference itself; name "
                 "another clip (fields.gram.style=CLIP)."
             )
+        self._frames = options.frames
         self._network = network.to(context.device)
         self._style, self._unit = style.to(context.device), unit.to(context.device)
 
     def compute(self, feature_history: Tensor) -> Mapping[str, Tensor]:
+        if (kept := feature_history.shape[1]) != self._frames:  # else 1 would not be the reference
+            raise ConfigError(
+                f"fields.gram.frames={self._frames} is not possible: feature_history has {kept} frames "
+                "(memory.feature_history.length). Give both the same."
+            )
         gram = self._network.gram(feature_history.flip(1))
         return {"gram_distance": (gram - self._style).norm(dim=(1, 2)) / self._unit}
 

@@ -370,7 +370,10 @@ def spring_slots(model: ParticleModel, count: int) -> tuple[np.ndarray, np.ndarr
     used = np.bincount(pairs.reshape(-1), minlength=count)
     slots = springs.slots or int(used.max(initial=0))
     if used.max(initial=0) > slots:
-        raise ConfigError(f"A particle has {used.max()} springs, but slots={slots}.")
+        raise ConfigError(
+            f"A particle has {used.max()} springs, but slots={slots}. Give as many or more (scene.springs of a "
+            "visco-plastic material, Springs.slots of a scene of your own)."
+        )
     partners, table = np.full((count, slots), -1), np.zeros((count, slots))
     filled = np.zeros(count, int)
     for (i, j), length in zip(pairs, lengths, strict=True):

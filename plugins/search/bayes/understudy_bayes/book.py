@@ -78,6 +78,14 @@ class Book:
 
     def __post_init__(self) -> None:
         self.space = Space(self.options.parameters)
+        if (
+            self.fidelity is not None
+            and (option := self.fidelity.option) in self.options.parameters
+        ):
+            raise ConfigError(
+                f"outer_loop.fidelity.option={option} is not possible: it is among outer_loop.parameters, and a trial has "
+                "one value of it. Leave it out of them, or take another fidelity."
+            )
 
     # ------------------------------------------------------------------ asked
 

@@ -31,6 +31,11 @@ class Fidelity:
             raise ValueError(
                 f"low={self.low:g} is not possible: it must be less than high={self.high:g}."
             )
+        if self.integer and not (float(self.low).is_integer() and float(self.high).is_integer()):
+            raise ValueError(
+                f"integer=true is not possible with low={self.low:g} and high={self.high:g}: "
+                "give whole numbers."
+            )
         if self.option == DIFFICULTY and not 0 <= self.low < self.high <= 1:
             raise ValueError(
                 f"low={self.low:g} with high={self.high:g} is not possible: a task's difficulty lies "

@@ -15,6 +15,7 @@ class BookedSearch(OuterLoop):
     """A search that keeps its trials in a book; which one is next, others say."""
 
     extendable = ("trials", "budget")
+    maximises = True
     _book: Book
 
     @abstractmethod

@@ -55,6 +55,9 @@ class OuterLoop(ABC):
     extendable: tuple[str, ...] = ()  #: options that may grow and leave it the same loop
     plan: Sequence[Trial] = ()  #: all trials, where they are known: checked before the first starts
     measures: Sequence[str] = ()  #: that it needs of each report: looked for before the first trial
+    maximises: bool = (
+        False  #: whether it needs the objective of each report: looked for before the first trial
+    )
     missing: Sequence[str] = ()  #: what it was to do and could not: with any, a sweep's status is 1
     share: float | None = None  #: of the loop that is done, where that can be said
     #: Whether as much of it takes as long again, so that the time left can be told.

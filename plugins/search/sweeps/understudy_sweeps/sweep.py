@@ -29,6 +29,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
+from understudy_reinforcement.success import success_of
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Executor, OuterLoop, Report, Trial, Work
 from understudy_sweeps.page import Page
@@ -70,7 +71,7 @@ def sweep(overrides: Sequence[str]) -> int:
     given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
-    known, devices = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
+    known, devices = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop)
     gpu = next((device for device in sorted(devices) if device.startswith("cuda")), root.device)
     work = dataclasses.replace(work, device=gpu)  # which a variant alone may ask for
     gpus = at(experiment.effective(), "executor.gpus")
@@ -248,9 +249,9 @@ def _composed(overrides: Sequence[str]) -> Experiment:
 
 
 def _check(
-    trials: Sequence[Trial | None], work: Work, measures: Sequence[str]
+    trials: Sequence[Trial | None], work: Work, loop: OuterLoop
 ) -> tuple[set[str], set[str]]:
-    """Refuse a sweep of which a variant cannot be composed, or lacks one of `measures`, before
+    """Refuse a sweep of which a variant cannot be composed, or lacks what the `loop` needs of reports, before
     anything runs; the measures of all variants, none where a job may have some of its own, and their devices.
     Variants that differ in nothing are told of."""
     seen: set[str] = set()
@@ -278,13 +279,31 @@ def _check(
             )
         known = {c.name for c in experiment.many("measure")}
         found.append(known if experiment.one("job") is None else set())
-        for name in measures if known else ():  # else the job may have some of its own
+        if loop.maximises:
+            _check_objective(experiment)
+        for name in loop.measures if known else ():  # else the job may have some of its own
             if name not in known | {"return", "success_rate"}:
                 raise ConfigError(
                     f"outer_loop needs the measure '{name}', which trials have not got."
                     f"{suggestion(name, known)}"
                 )
     return set().union(*found) if all(found) else set(), devices
+
+
+def _check_objective(experiment: Experiment) -> None:
+    """Refuse a search for the highest of what no trial has: it would rank nothing, and say so nowhere."""
+    options = experiment.root.evaluation
+    if (
+        options.objective == SUCCESS
+        and experiment.one("job") is None  # which may judge in its own way
+        and success_of(experiment) is None
+    ):
+        known = ", ".join(sorted({"return", *(c.name for c in experiment.many("measure"))}))
+        raise ConfigError(
+            f"This search wants the highest evaluation.objective={SUCCESS}, and nothing in this task says whether an "
+            f"episode succeeded. Set evaluation.objective to what is to be high ({known}), or say what a success is "
+            "(evaluation.success={measure: NAME, at_least: NUMBER})."
+        )
 
 
 def _check_paper(paper: Mapping[str, Any] | None, measures: set[str]) -> None:

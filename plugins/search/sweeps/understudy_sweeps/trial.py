@@ -102,6 +102,8 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
         if recording is not None and recording.tracks:
             recording.save(run.path / "recording.npz")
         run.write_json(JUDGED, evaluation.as_json(training.progress.samples))
+        run.info["judged"] = training.progress.samples  # else it is listed as unfinished
+        run.write_json("run.json", run.info)
         yield _result(trial, evaluation, training, "stopped" if stopped else training.outcome)
     except TrainingError as error:  # anything else is no finding: what carries it out says so
         samples = float(training.progress.samples)
