@@ -16,6 +16,7 @@ from understudy.records.checkpoint import misshapen
 from understudy.records.runs import newest_state
 from understudy.setup.registry import Registry
 from understudy.task import Curriculum, InitialStates, State
+from understudy_reinforcement.origins import terms_behind
 from understudy_reinforcement.policy import Policy
 
 __all__ = ["Part", "load_part"]
@@ -100,9 +101,10 @@ def take_over(
             raise RunError(f"start.parts names the {name}, and this task has none ({name}=…).")
         load_part(part, state, name, f"start.parts: the {name} of {start.run}")
     samples = state["progress"]["samples"]
-    sources = runs.open_run(start.run).info["sources"]  # licences of what the weights are made of
+    begun = runs.open_run(start.run)
     return {
-        "run": start.run, "parts": list(start.parts), "samples": samples, "sources": sources
+        "run": start.run, "parts": list(start.parts), "samples": samples, "sources": begun.info["sources"],
+        "behind": terms_behind(begun.info, begun.path),  # on whose terms the weights are
     }  # fmt: skip
 
 

@@ -43,6 +43,7 @@ from understudy_skills.packing import (
     packed_tensor,
     renamed,
     renamed_in,
+    sources_of_no_folder,
     unpacked,
     words_in,
 )
@@ -120,10 +121,9 @@ class Skill:
         if inside:
             known = {key: card.get(key) for key in ("samples", "versions", "sources")}
             card = {**known, "config": _less(card["config"], _NOT_OF_CONTROLLERS)}
-        for of, where in (("motion", "source"), ("start", "run")):
-            found = (card.get("sources") or {}).get(of, {})
-            if isinstance(path_of := found.get(where), str):
-                card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
+        card["sources"] = sources_of_no_folder(card.get("sources"))
+        # with what its training began is among its sources; what it is has no use for it
+        card["config"] = _less(card["config"], ("start",))
         banks, policies, files = dict[str, Held](), dict[str, Skill](), dict[str, Any]()
         if isinstance(inputs, PackInputs):
             banks, policies, files = inputs.banks, inputs.policies, inputs.carried()
