@@ -70,10 +70,11 @@ TRIED_WITH = {
     "judging": FIGURE | {"report", "sitting"},
     "jumping": {"mujoco_warp", "sitting"},
     "motion": {"characters", "humanoid", "mujoco", "tensors"},
-    "networks": {"export", "play"},
+    "networks": {"export", "judging", "play"},
     "ppo": TOYS | FIGURE | {"spacetime"},
     "reinforcement": TOYS | FIGURE | {"inspect", "judging", "play", "report"},
-    "training": TOYS | FIGURE | {"sequencing", "sitting", "sweeps"},
+    "sitting": {"deepmimic", "export", "sequencing"},
+    "training": TOYS | FIGURE | {"composite", "sequencing", "sitting", "sweeps"},
 }
 
 
@@ -167,7 +168,7 @@ def test_its_own_tests_pass_alone(name: str) -> None:
         pytest.skip("it has no tests of its own")
     besides = {*MATERIAL.get(name, ()), *TRIED_WITH.get(name, ()), *USUAL}
     allowed = {name, *requires(name)} | besides
-    while not (more := set().union(*map(requires, allowed))) <= allowed:
+    while not (more := set[str]().union(*map(requires, allowed))) <= allowed:
         allowed |= more
     environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join(allowed)}
     command = [sys.executable, "-m", "pytest", "-q", str(tests)]

@@ -71,14 +71,16 @@ def take_over(
     Raises
     ------
     ConfigError
-        if it is the name of a skill, which has no critic.
+        if it is a skill, by its name or as a packed file, which has no critic.
     RunError
         the run lacks one of them, or it has another shape here; the first one is named.
     """
-    if start.run in registry.names("skill") and not Path(start.run).is_dir():
+    packed = start.run.endswith(".json") and Path(start.run).is_file()
+    if packed or (start.run in registry.names("skill") and not Path(start.run).is_dir()):
+        name = Path(start.run).stem if packed else start.run.replace("/", "-")
         raise ConfigError(
             f"start.run={start.run} is a skill, and a training begins with a run: `understudy play {start.run} "
-            f"--unpack runs/{start.run.replace('/', '-')}` makes one of it."
+            f"--unpack runs/{name}` makes one of it."
         )
     state = newest_state(start.run)
     found = state.get("policy", {})

@@ -391,7 +391,7 @@ def _refuse(skill: Skill, inside: str) -> None:
     for key, value in words_in(skill.card["config"]):
         if _OF_THE_RUN.match(key) or key.startswith("job.") or (inside and not _ACTING.match(key)):
             continue
-        if (Path(value) / "run.json").is_file() and not any(_asks_for(a, value) for a in asked):
+        if _is_run(value) and not any(_asks_for(a, value) for a in asked):
             cure = (
                 "Override it, for example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and "
                 "played with that."
@@ -405,6 +405,13 @@ def _refuse(skill: Skill, inside: str) -> None:
             )
     for name, inner in had.policies.items():
         _refuse(inner, f"{inside}{name.partition(' ')[2]}: ")
+
+
+def _is_run(word: str) -> bool:
+    """Whether the word of a configuration, maybe a stranger's, is a run folder."""
+    with contextlib.suppress(OSError):  # of a word that is longer than any path
+        return bool(word) and (Path(word) / "run.json").is_file()
+    return False
 
 
 def _asks_for(asked: str, word: str) -> bool:
