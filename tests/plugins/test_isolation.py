@@ -66,14 +66,14 @@ TRIED_WITH = {
     "dressing": {"curricula", "deepmimic", "play", "spacetime", "sweeps"},
     "gym": {"deepmimic"},
     "hand": {"chopsticks", "curricula", "gripping", "play", "ppo", "report", "skills", "terms"},
-    "imagination": FIGURE | TOYS | {"report", "spacetime"},
+    "imagination": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "judging": FIGURE | {"report", "sitting"},
     "jumping": {"mujoco_warp", "sitting"},
     "motion": {"characters", "humanoid", "mujoco", "tensors"},
     "networks": {"export", "judging", "play"},
     "ppo": TOYS | FIGURE | {"spacetime"},
     "reinforcement": TOYS | FIGURE | {"inspect", "judging", "play", "report"},
-    "sitting": {"deepmimic", "export", "sequencing"},
+    "sitting": {"export", "sequencing", "spacetime"},
     "training": TOYS | FIGURE | {"composite", "sequencing", "sitting", "sweeps"},
 }
 

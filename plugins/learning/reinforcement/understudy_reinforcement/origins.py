@@ -14,7 +14,7 @@ from understudy.folders import read
 from understudy.records.checkpoint import read_sealed
 from understudy_reinforcement.licences import beside, record_beside
 
-__all__ = ["clips_of_job", "terms_behind", "terms_of_bank", "terms_of_record"]
+__all__ = ["KINDS", "clips_of_job", "terms_behind", "terms_of_bank", "terms_of_record"]
 
 #: What it may be, by the word for it.
 KINDS = ("clip", "model", "file", "weights")
