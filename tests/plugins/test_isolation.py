@@ -60,16 +60,27 @@ MATERIAL = {
 
 #: What their own tests have beside that: the tasks that they train, and the commands that they run with these.
 TRIED_WITH = {
-    "chopsticks": {"play", "report", "mujoco_warp", "sweeps"},
+    "chopsticks": FIGURE | TOYS | {"mujoco_warp", "play", "report", "sweeps"},
     "deepmimic": {"mujoco_warp", "ray_executor", "sweeps"},
-    "diversity": {"report", "sweeps"},
-    "dressing": {"curricula", "deepmimic", "play", "spacetime", "sweeps"},
+    "diversity": TOYS | {"report", "sweeps"},
+    "dressing": FIGURE
+    | {
+        "amorphous",
+        "curricula",
+        "deepmimic",
+        "mujoco_warp",
+        "play",
+        "sequencing",
+        "spacetime",
+        "sweeps",
+    },
     "gym": {"deepmimic"},
     "hand": {"chopsticks", "curricula", "gripping", "play", "ppo", "report", "skills", "terms"},
     "imagination": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "judging": FIGURE | {"report", "sitting"},
     "jumping": {"mujoco_warp", "sitting"},
     "motion": {"characters", "humanoid", "mujoco", "tensors"},
+    "mujoco": FIGURE | TOYS | {"inspect", "sitting", "spacetime"},
     "networks": {"export", "judging", "play"},
     "ppo": TOYS | FIGURE | {"spacetime"},
     "reinforcement": TOYS | FIGURE | {"inspect", "judging", "play", "report"},
