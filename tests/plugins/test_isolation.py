@@ -84,6 +84,7 @@ TRIED_WITH = {
     "networks": {"export", "judging", "play"},
     "ppo": TOYS | FIGURE | {"spacetime"},
     "reinforcement": TOYS | FIGURE | {"inspect", "judging", "play", "report"},
+    "reproduce": {"styles"},
     "sitting": {"export", "sequencing", "spacetime"},
     "training": TOYS | FIGURE | {"composite", "sequencing", "sitting", "sweeps"},
 }
