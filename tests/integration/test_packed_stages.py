@@ -65,6 +65,12 @@ def acted(source: str | Path) -> torch.Tensor:
     return torch.cat(rows)
 
 
+def test_a_run_in_sequence_is_evaluated_for_less_time(run: Path, tmp_path: Path) -> None:
+    own = tmp_path / "run"
+    shutil.copytree(run, own)
+    assert main(["evaluate", str(own), "episodes=4", "evaluation.seconds=1"]) == 0
+
+
 def test_a_pack_acts_as_its_run_does(
     run: Path, packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

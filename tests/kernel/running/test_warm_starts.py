@@ -189,7 +189,7 @@ def test_what_is_named_is_taken_over_and_nothing_else(
     assert training.progress.samples == 0
     sources = json.loads((tmp_path / "second/run.json").read_text())["sources"]
     assert sources == {
-        "start": {"run": str(run), "parts": list(named), "samples": 24, "sources": {}}
+        "start": {"run": str(run), "parts": list(named), "samples": 24, "sources": {}, "behind": []}
     }
 
 

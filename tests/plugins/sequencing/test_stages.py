@@ -228,7 +228,6 @@ def test_endings_are_counted_by_stage(place: Path, tmp_path: Path) -> None:
     assert violated["first_overtime"] + violated["second_overtime"] > 0.9
     assert found["measures"]["first"]["mean"] == pytest.approx(1.0 - violated["first_overtime"])
     assert found["success_rate"] < 0.1
-    assert main(["evaluate", str(run), "episodes=4", "evaluation.seconds=1"]) == 0
 
 
 @pytest.mark.parametrize(

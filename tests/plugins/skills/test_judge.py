@@ -42,7 +42,7 @@ def test_a_policy_is_judged_and_nothing_is_learned(
     )  # by samples
     same, _ = judged.judge()
     assert same == training.judge()[0]
-    assert judged.job.sources()["policy"] == {"run": run}
+    assert judged.job.sources()["policy"] == {"run": run, "behind": []}
     judged.run.unlock()
     assert resumed(plugins, tmp_path / "judged").judge()[0] == same
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,9 @@ from typing import Any
 import pytest
 import torch
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, RunError
 from understudy.inputs import Inputs
+from understudy_skills import pack_inputs
 from understudy_skills.pack_inputs import (
     MOST_FILE_BYTES,
     MOST_FILES,
@@ -96,6 +99,61 @@ def test_a_file_of_a_strange_name_gets_a_plain_one(tmp_path: Path) -> None:
     assert list(carried["grip.file=x"]) == ["_günther_s grip_.json"]
 
 
+@pytest.mark.parametrize(
+    "names",
+    [("it/own?.json", "it/own!.json"), ("it/Own.json", "it/own.json"), ("a/b/c/d/e/f/g.json",) * 2],
+)
+def test_files_of_names_that_no_pack_can_have_are_refused(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    """The one took the other's place, or a pack was written that nobody could open."""
+    top = tmp_path / "main.json"
+    top.write_text("{}")
+    files = [tmp_path / name for name in dict.fromkeys(names)]
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(file.name)
+    inputs = PackInputs.gathering(Inputs())
+    inputs.file("grip.file=x", lambda: [top, *files])
+    with pytest.raises(ConfigError, match="of names that no pack can have"):
+        inputs.carried()
+
+
+def test_a_long_strange_name_is_carried(tmp_path: Path) -> None:
+    """Its last 100 signs began with a dot."""
+    file = tmp_path / f"{'a' * 90}.{'b' * 94}.json"
+    file.write_text("{}")
+    inputs = PackInputs.gathering(Inputs())
+    inputs.file("grip.file=x", lambda: [file])
+    carried = inputs.carried()
+    assert files_of_state(files_as_state(carried)) == carried
+
+
+def test_a_full_temporary_folder_is_said(read: PackInputs, monkeypatch: pytest.MonkeyPatch) -> None:
+    pack = PackInputs(files=files_of_state(files_as_state(read.carried())))
+
+    def full(*_: object, **__: object) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pack_inputs.tempfile, "mkdtemp", full)
+    with pytest.raises(RunError, match=r"temporary files: No space left on device\. Make room"):
+        pack.file(ASKED, list)
+    with pytest.raises(ConfigError, match=r"cannot be copied: No space left on device\. Make room"):
+        read.carried()
+
+
+def test_a_fork_that_forgets_a_pack_leaves_its_files(read: PackInputs) -> None:
+    """What it has is its maker's, as that of worlds in processes of their own."""
+    pack = PackInputs(files=files_of_state(files_as_state(read.carried())))
+    place = pack.file(ASKED, list).parents[1]
+    if not (child := os.fork()):
+        del pack
+        gc.collect()
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert place.is_dir()
+
+
 def test_what_is_too_large_is_said(tmp_path: Path) -> None:
     (tmp_path / "mesh.obj").write_bytes(bytes(MOST_FILE_BYTES + 1))
     inputs = PackInputs.gathering(Inputs())
@@ -119,6 +177,8 @@ def entry(**changes: Any) -> list[dict[str, Any]]:
         entry(asked="controller x"),
         entry(names=[], contents=[]),
         entry(names=["a", "a"], contents=[torch.zeros(1, dtype=torch.uint8)] * 2),
+        entry(names=["a", "A"], contents=[torch.zeros(1, dtype=torch.uint8)] * 2),
+        entry(names=["a", "a/b"], contents=[torch.zeros(1, dtype=torch.uint8)] * 2),
         entry(contents=[torch.zeros(3)]),
         entry(contents=[torch.zeros(3, 3, dtype=torch.uint8)]),
         entry(contents=["text"]),

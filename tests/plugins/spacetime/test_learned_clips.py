@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
-from understudy.setup.plugins import Plugins
+from understudy.setup.plugins import Plugins, installed
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip, cycle_transform, velocities
+from understudy_motion.library import read_clip
 from understudy_report.markup import check_markup
 from understudy_spacetime.learned import cycle_starts, learned_clip
 from understudy_spacetime.section import EvolvedSection, evolution_of
@@ -77,6 +79,19 @@ def test_the_cycle_that_closes_best_is_written_as_a_loop(
     training = Training(load_experiment(chosen)).prepare()  # it is learned from in its place
     assert training.iterate()["samples"] == 256
     training.close()
+
+
+def test_it_is_on_the_terms_of_all_that_is_behind_its_run(walked: Path, tmp_path: Path) -> None:
+    """It was on those of its own reference alone."""
+    info = json.loads((walked / "run.json").read_text())
+    behind = [{"clip": "fight", "licence": "CC BY-NC 4.0", "attribution": "Fought by Cid."}]
+    info["sources"]["start"] = {"run": "runs/a", "sources": {}, "behind": behind}
+    (walked / "run.json").write_text(json.dumps(info))
+    assert main(["motion", "learned", str(walked), str(tmp_path / "clip.npz")]) == 0
+    found = read_clip(tmp_path / "clip.npz", installed().registry)
+    assert "CC0-1.0 (clip " in found.licence
+    assert "CC BY-NC 4.0 (clip fight)" in found.licence
+    assert found.attribution.startswith("Fought by Cid.")
 
 
 def test_too_short_a_recording_says_what_to_do(walked: Path) -> None:

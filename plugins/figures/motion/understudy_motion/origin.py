@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from understudy.errors import FileError
 from understudy_motion.limits import read_bytes
 
-__all__ = ["RECORD_SUFFIX"]
+if TYPE_CHECKING:
+    from understudy_motion.clip import Clip
+
+__all__ = ["RECORD_SUFFIX", "terms_of"]
 
 RECORD_SUFFIX = ".provenance.json"
 LICENCE = "LICENSE"
@@ -60,6 +64,22 @@ def read_record(path: Path) -> dict[str, str]:
         for key, value in record.items()
         if isinstance(value, str)
     }
+
+
+def terms_of(clips: Iterable[Clip]) -> list[dict[str, str]]:
+    """Each of the `clips` once, with its licence and, where known, its address and acknowledgement, as a run records of what
+    it learned from several."""
+    rows = [
+        {
+            "clip": c.name,
+            "licence": c.licence,
+            "url": c.url or "",
+            "attribution": c.attribution or "",
+        }
+        for c in clips
+    ]
+    kept = [{key: text for key, text in row.items() if text} for row in rows]
+    return [row for at, row in enumerate(kept) if row not in kept[:at]]
 
 
 def licence_beside(path: Path) -> str:

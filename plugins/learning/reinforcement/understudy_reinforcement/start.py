@@ -16,6 +16,7 @@ from understudy.records.checkpoint import misshapen
 from understudy.records.runs import newest_state
 from understudy.setup.registry import Registry
 from understudy.task import Curriculum, InitialStates, State
+from understudy_reinforcement.origins import terms_behind
 from understudy_reinforcement.policy import Policy
 
 __all__ = ["Part", "load_part"]
@@ -70,14 +71,16 @@ def take_over(
     Raises
     ------
     ConfigError
-        if it is the name of a skill, which has no critic.
+        if it is a skill, by its name or as a packed file, which has no critic.
     RunError
         the run lacks one of them, or it has another shape here; the first one is named.
     """
-    if start.run in registry.names("skill") and not Path(start.run).is_dir():
+    packed = start.run.endswith(".json") and Path(start.run).is_file()
+    if packed or (start.run in registry.names("skill") and not Path(start.run).is_dir()):
+        name = Path(start.run).stem if packed else start.run.replace("/", "-")
         raise ConfigError(
             f"start.run={start.run} is a skill, and a training begins with a run: `understudy play {start.run} "
-            f"--unpack runs/{start.run.replace('/', '-')}` makes one of it."
+            f"--unpack runs/{name}` makes one of it."
         )
     state = newest_state(start.run)
     found = state.get("policy", {})
@@ -100,9 +103,10 @@ def take_over(
             raise RunError(f"start.parts names the {name}, and this task has none ({name}=…).")
         load_part(part, state, name, f"start.parts: the {name} of {start.run}")
     samples = state["progress"]["samples"]
-    sources = runs.open_run(start.run).info["sources"]  # licences of what the weights are made of
+    begun = runs.open_run(start.run)
     return {
-        "run": start.run, "parts": list(start.parts), "samples": samples, "sources": sources
+        "run": start.run, "parts": list(start.parts), "samples": samples, "sources": begun.info["sources"],
+        "behind": terms_behind(begun.info, begun.path),  # on whose terms the weights are
     }  # fmt: skip
 
 

@@ -20,11 +20,11 @@ from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Chosen, Experiment
 from understudy.task import State
 from understudy_reinforcement.long_work import LongWork
+from understudy_reinforcement.origins import terms_behind
 from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import load_part
 from understudy_skills.folder import run_folder
 from understudy_skills.gathered import Gathered, Gathering
-from understudy_skills.origins import clips_behind
 
 
 def _simulators(experiment: Experiment) -> Mapping[str, tuple[Chosen, ...]]:
@@ -271,12 +271,13 @@ class Harvest(Gathering):
             "run": options.run,
             "moment": options.moment,
             "kept": self._wanted(),
-            "clips": clips_behind(self._source.info, self._source.path),
+            "clips": terms_behind(self._source.info, self._source.path),
         }
         self._gathered.save(run, about, self._built.scene if self._built else None)
 
     def sources(self) -> Mapping[str, Any]:
-        return {**self._source.info["sources"], "bank": {"run": self.options.run}}
+        behind = terms_behind(self._source.info, self._source.path)
+        return {**self._source.info["sources"], "bank": {"run": self.options.run, "behind": behind}}
 
     def state_dict(self) -> State:
         return {

@@ -14,6 +14,7 @@ from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement import promised
 from understudy_reinforcement.job import Reinforcement, sources_of
+from understudy_reinforcement.origins import terms_behind
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.folder import run_folder
 
@@ -60,7 +61,11 @@ class Judge(Reinforcement):
         ]
         for change in changes:
             tell(f"Unlike in the training of {self.options.run}: {change}")
-        self._started = {**source.info["sources"], "policy": {"run": self.options.run}}
+        behind = terms_behind(source.info, source.path)
+        self._started = {
+            **source.info["sources"],
+            "policy": {"run": self.options.run, "behind": behind},
+        }
 
     def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:
         pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import shutil
 import tempfile
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, RunError
 from understudy.inputs import Inputs
 from understudy.records import checkpoint
 
@@ -140,10 +141,16 @@ class PackInputs(Inputs):
         if self.had and asked in self.had.files:
             return self.had.file(asked, find)
         if asked in self.files and asked not in self.kept:
-            if not self.kept:
-                self.folder = Path(tempfile.mkdtemp(prefix="understudy-"))
-                weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
-            self._write_files(asked, self.folder)
+            try:
+                if not self.kept:
+                    self.folder = Path(tempfile.mkdtemp(prefix="understudy-"))
+                    weakref.finalize(self, _remove, self.folder, os.getpid())
+                self._write_files(asked, self.folder)
+            except OSError as error:
+                raise RunError(
+                    f"A file of the pack cannot be written among the system's temporary files: {error.strerror}. Make room there, "
+                    "or name another folder, TMPDIR=FOLDER."
+                ) from error
         return super().file(asked, find)
 
     def folder_of(self, asked: str, source: Path, fill: Callable[[Path], None]) -> Path:
@@ -163,6 +170,24 @@ class PackInputs(Inputs):
         ConfigError
             they are too many, or too large, for a pack.
         """
+        try:
+            found = self._carried()
+        except OSError as error:
+            raise ConfigError(
+                f"--pack: the files that its task reads cannot be copied: {error.strerror}. Make room among the system's temporary "
+                "files, or name another folder, TMPDIR=FOLDER."
+            ) from error
+        size = sum(len(content) for files in found.values() for content in files.values())
+        if size > MOST_FILE_BYTES or sum(map(len, found.values())) > MOST_FILES:
+            largest = max(found, key=lambda a: sum(map(len, found[a].values())))
+            raise ConfigError(
+                f"--pack: the files that its task reads have {size / 2**20:.0f} MiB, and a pack has room for "
+                f"{MOST_FILE_BYTES // 2**20}, and for {MOST_FILES} of them. The largest are {largest}: pass on the run folder, "
+                "which has a copy of them."
+            )
+        return {asked: files for asked, files in found.items() if files}
+
+    def _carried(self) -> dict[str, Files]:
         found = dict[str, Files]()
         with tempfile.TemporaryDirectory(prefix="understudy-") as place:
             read = {asked: paths for asked, paths in self._read.items() if _is_carried(asked)}
@@ -174,19 +199,16 @@ class PackInputs(Inputs):
                     found[asked] = self.had.files[asked]
                     continue
                 own = new if asked in new.kept else self
-                found[asked] = {
-                    _plain(name.partition("/")[2]): (own.folder / name).read_bytes()
-                    for name in own.kept.get(asked, ())
-                }
-        size = sum(len(content) for files in found.values() for content in files.values())
-        if size > MOST_FILE_BYTES or sum(map(len, found.values())) > MOST_FILES:
-            largest = max(found, key=lambda a: sum(map(len, found[a].values())))
-            raise ConfigError(
-                f"--pack: the files that its task reads have {size / 2**20:.0f} MiB, and a pack has room for "
-                f"{MOST_FILE_BYTES // 2**20}, and for {MOST_FILES} of them. The largest are {largest}: pass on the run folder, "
-                "which has a copy of them."
-            )
-        return {asked: files for asked, files in found.items() if files}
+                kept = list(own.kept.get(asked, ()))
+                plain = [_plain(name.partition("/")[2]) for name in kept]
+                if not all(map(_is_plain, plain)) or _collide(plain):
+                    raise ConfigError(
+                        f"--pack: the files of {asked} are of names that no pack can have, too deep in folders or alike but for their "
+                        "signs. Rename them, or pass on the run folder, which has a copy of them."
+                    )
+                contents = ((own.folder / name).read_bytes() for name in kept)
+                found[asked] = dict(zip(plain, contents, strict=True))
+        return found
 
     def copy(self, folder: Path) -> dict[str, dict[str, str]]:
         """As :meth:`understudy.inputs.Inputs.copy`; what the pack has becomes files, too."""
@@ -250,8 +272,10 @@ def files_of_state(state: Any) -> dict[str, Files]:
             raise ValueError(f"'{str(asked)[:40]}' is nothing that a pack has a file of")
         if not isinstance(names, list) or not isinstance(contents, list):
             raise ValueError(f"the files of '{asked[:40]}' are none")
-        if not names or len(names) != len(contents) or len({*map(str, names)}) != len(names):
-            raise ValueError(f"the files of '{asked[:40]}' are none, or two have the same name")
+        if not names or len(names) != len(contents) or _collide([*map(str, names)]):
+            raise ValueError(
+                f"the files of '{asked[:40]}' are none, or two have the same name, or that of a folder"
+            )
         count += len(names)
         for name, content in zip(names, contents, strict=True):
             if not _is_plain(name):
@@ -281,7 +305,22 @@ def _is_plain(name: Any) -> bool:
 
 def _plain(name: str) -> str:
     """A name that is plain for a file that may have another."""
-    return "/".join(_NO_PART.sub("_", part)[-100:] for part in name.split("/"))
+    return "/".join(_NO_PART.sub("_", part[-100:]) for part in name.split("/"))
+
+
+def _collide(names: Sequence[str]) -> bool:
+    """Whether two of the `names` are of the same file, or one is of a folder that has another, on any system."""
+    folded = [name.casefold() for name in names]
+    folders = {
+        "/".join(name.split("/")[:k]) for name in folded for k in range(1, name.count("/") + 1)
+    }
+    return len({*folded}) != len(folded) or not folders.isdisjoint(folded)
+
+
+def _remove(folder: Path, maker: int) -> None:
+    """Remove a temporary `folder`, but not where a fork of its `maker`, which still reads it, forgets it."""
+    if os.getpid() == maker:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _drawn_evenly(asked: str, held: Held) -> Held:

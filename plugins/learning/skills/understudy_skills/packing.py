@@ -20,6 +20,7 @@ __all__ = [
     "packed_tensor",
     "renamed",
     "renamed_in",
+    "sources_of_no_folder",
     "unpacked",
     "words_in",
 ]
@@ -57,9 +58,26 @@ def names_within(paths: Sequence[str], overrides: Any) -> dict[str, str]:
 
 def of_no_folder(item: Mapping[str, Any]) -> dict[str, Any]:
     """An item of a licence, whose source may name a bank or run of its makers."""
-    kind, _, path = str(item.get("source", "")).rpartition(" ")
-    own = kind in ("bank", "controller", "understudy licence")
-    return {**item, "source": f"{kind} {Path(path).name}"} if own else dict(item)
+    source = str(item.get("source", ""))
+    if "://" in source:
+        return dict(item)
+    # as "bank PATH", "grip.file=PATH", "understudy licence PATH"
+    asked, path = re.fullmatch(r"((?:[^/=]*[ =])?)(.*)", source, re.DOTALL).groups()  # type: ignore[union-attr]
+    return {**item, "source": asked + Path(path).name} if path else dict(item)
+
+
+def sources_of_no_folder(sources: Any) -> Any:
+    """What a run recorded of its sources, and of those of the runs that it began with, with names for its makers' paths."""
+    if isinstance(sources, list):
+        return [sources_of_no_folder(part) for part in sources]
+    if not isinstance(sources, Mapping):
+        return sources
+    return {
+        key: Path(value).name
+        if key in ("source", "run") and isinstance(value, str)
+        else sources_of_no_folder(value)
+        for key, value in sources.items()
+    }
 
 
 def renamed(value: Any, names: Mapping[str, str]) -> Any:

@@ -16,8 +16,8 @@ from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement.job import sources_of
 from understudy_reinforcement.long_work import LongWork
+from understudy_reinforcement.origins import terms_behind
 from understudy_skills.gathered import Gathered, Gathering
-from understudy_skills.origins import clips_behind
 
 
 class Settle(Gathering):
@@ -75,7 +75,7 @@ class Settle(Gathering):
 
     def products(self, run: Run) -> None:
         assert self._built is not None
-        clips = clips_behind({**run.info, "sources": sources_of(self._built)}, run.path)
+        clips = terms_behind({**run.info, "sources": sources_of(self._built)}, run.path)
         about = {"settled": f"{self.options.seconds:g} s", "clips": clips}
         self._gathered.save(run, about, self._built.scene)
 

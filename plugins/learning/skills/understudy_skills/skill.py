@@ -43,6 +43,7 @@ from understudy_skills.packing import (
     packed_tensor,
     renamed,
     renamed_in,
+    sources_of_no_folder,
     unpacked,
     words_in,
 )
@@ -120,10 +121,9 @@ class Skill:
         if inside:
             known = {key: card.get(key) for key in ("samples", "versions", "sources")}
             card = {**known, "config": _less(card["config"], _NOT_OF_CONTROLLERS)}
-        for of, where in (("motion", "source"), ("start", "run")):
-            found = (card.get("sources") or {}).get(of, {})
-            if isinstance(path_of := found.get(where), str):
-                card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
+        card["sources"] = sources_of_no_folder(card.get("sources"))
+        # with what its training began is among its sources; what it is has no use for it
+        card["config"] = _less(card["config"], ("start",))
         banks, policies, files = dict[str, Held](), dict[str, Skill](), dict[str, Any]()
         if isinstance(inputs, PackInputs):
             banks, policies, files = inputs.banks, inputs.policies, inputs.carried()
@@ -391,7 +391,7 @@ def _refuse(skill: Skill, inside: str) -> None:
     for key, value in words_in(skill.card["config"]):
         if _OF_THE_RUN.match(key) or key.startswith("job.") or (inside and not _ACTING.match(key)):
             continue
-        if (Path(value) / "run.json").is_file() and not any(_asks_for(a, value) for a in asked):
+        if _is_run(value) and not any(_asks_for(a, value) for a in asked):
             cure = (
                 "Override it, for example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and "
                 "played with that."
@@ -405,6 +405,13 @@ def _refuse(skill: Skill, inside: str) -> None:
             )
     for name, inner in had.policies.items():
         _refuse(inner, f"{inside}{name.partition(' ')[2]}: ")
+
+
+def _is_run(word: str) -> bool:
+    """Whether the word of a configuration, maybe a stranger's, is a run folder."""
+    with contextlib.suppress(OSError):  # of a word that is longer than any path
+        return bool(word) and (Path(word) / "run.json").is_file()
+    return False
 
 
 def _asks_for(asked: str, word: str) -> bool:

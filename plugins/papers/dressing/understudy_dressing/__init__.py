@@ -4,7 +4,7 @@ from understudy_skills.packaged import skills_beside
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "characters", "cloth", "composite", "mujoco", "networks", "ppo", "report", "skills", "tensors", "terms", "warp_torch",
+    "characters", "cloth", "composite", "mujoco", "networks", "ppo", "reinforcement", "report", "skills", "tensors", "terms", "warp_torch",
 )  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.

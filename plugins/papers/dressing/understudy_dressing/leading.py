@@ -20,6 +20,7 @@ from understudy.task import Context, State
 from understudy_dressing.led import Led, Place
 from understudy_dressing.moves import PERIOD
 from understudy_dressing.shirt import ShirtScene
+from understudy_reinforcement.origins import terms_behind
 from understudy_skills import bank
 from understudy_skills.gathered import Gathered, Gathering
 
@@ -187,14 +188,13 @@ class Leading(Gathering):
                 f"No arm {self._went} from job.bank={self.options.bank}. Lead more of its states (job.count), or harvest "
                 "others, with job.lasting=16."
             )
+        behind = terms_behind(run.info, run.path)
         for name, kept in self._kept.items():
             if kept:
+                about = {"led": name, "clips": behind}
                 states = {field: torch.stack([one[field] for one in kept]) for field in kept[0]}
                 (run.path / name).mkdir(exist_ok=True)
-                bank.save(run.path / name / bank.NAME, states, {"led": name}, self._scene)
-
-    def sources(self) -> Mapping[str, Any]:
-        return {"bank": {"run": self.options.bank}}
+                bank.save(run.path / name / bank.NAME, states, about, self._scene)
 
     def state_dict(self) -> State:
         kept = {

@@ -17,7 +17,7 @@ from understudy_characters.fitting import worn
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.mirror import mirrored
-from understudy_motion.origin import RECORD_SUFFIX
+from understudy_motion.origin import RECORD_SUFFIX, terms_of
 from understudy_motion.reading import ReadOptions, readers
 from understudy_pose_vae.features import PoseFeatures
 
@@ -67,7 +67,10 @@ def read_poses(
         raise FileError("job.clips: these clips have too few poses to learn from.")
     train, test = torch.cat(learned).float(), torch.cat(judged).float()
     licences = sorted({clip.licence for clip in clips})
-    sources = {"clips": list(named), "files": len(clips), "licences": licences}
+    sources = {
+        "poses": {"clips": list(named), "files": len(clips), "licences": licences},
+        "clips": terms_of(clips),
+    }
     return PoseSet(train, features.of(train), test, features.of(test), sources)
 
 

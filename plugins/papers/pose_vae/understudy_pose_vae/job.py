@@ -227,7 +227,7 @@ class LearnPoses(NetworkJob[PoseVAE]):
         self.network.to(self.device)
 
     def sources(self) -> Mapping[str, Any]:
-        return {"poses": self.poses.sources}
+        return self.poses.sources
 
     def load_learned(self, state: State, samples: int) -> None:
         self.network = network_of(state, self.options, self._features).to(self.device)

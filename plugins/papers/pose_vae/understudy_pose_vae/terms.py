@@ -57,7 +57,9 @@ class PoseDistance:
         if not shared:
             raise ConfigError(f"{options.run} has no joint that {scene.character.name} has.")
         given = Path(options.run) / POSES
-        if not (kept := context.inputs.file(f"poses of {options.run}", lambda: [given])).is_file():
+        said = [file] if (file := given.with_name("run.json")).is_file() else []  # of what clips
+        kept = context.inputs.file(f"poses of {options.run}", lambda: [given, *said])
+        if not kept.is_file():
             raise RunError(f"{options.run} has no poses to compare with; finish it first.")
         own = [trained.joints.index(name) for name in shared]
         found = learned_poses(kept, len(trained.joints))[:, own]

@@ -9,6 +9,7 @@ REQUIRES = (
     "tensors",
     "terms",
     "characters",
+    "credits",
     "imagination",
     "motion",
     "mujoco",

@@ -16,6 +16,7 @@ from understudy.errors import FileError
 from understudy.records import runs
 from understudy.setup.plugins import installed
 from understudy_characters.recording import recorded_clips
+from understudy_credits.walk import in_a_line, open_made
 from understudy_motion.clip import Clip, cycle_transform, resample
 from understudy_motion.editing import close_loop, cut
 from understudy_motion.readers.npz import Archive
@@ -39,6 +40,9 @@ class Learned(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         clip = learned_clip(run_folder(options.run, recorded=True))
+        # on the terms of everything behind the run, not of its reference alone
+        licence, attribution = in_a_line(open_made(options.run))
+        clip = replace(clip, licence=licence, attribution=attribution)
         write_clip(clip, options.destination, installed().registry)
         how = f"one cycle of {clip.duration:.2f} s" if clip.loop else f"{clip.duration:.2f} s"
         print(f"{options.destination}: {how}, {clip.num_frames} frames, licence: {clip.licence}")

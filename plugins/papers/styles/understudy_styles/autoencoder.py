@@ -3,6 +3,7 @@ job: ``understudy train experiment=styles/autoencoder``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,8 @@ from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
+from understudy_motion.clip import Clip
+from understudy_motion.origin import terms_of
 from understudy_networks.supervised import NetworkJob
 from understudy_reinforcement.evaluation import Evaluation, Measured
 from understudy_styles.features import clip_features
@@ -93,6 +96,7 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         self._scene, self._registry = scene, experiment.registry
         self.network = new_network(options, scene, root.seed).to(self.device)
         self._windows: dict[str, Tensor] = {}
+        self._clips: list[Clip] = []
 
     def prepare(self) -> None:
         self._load()
@@ -109,6 +113,7 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         found: dict[str, list[Tensor]] = {"training": [], "held_out": []}
         for source in self.options.clips:
             clip = library.find(source, self._registry)
+            self._clips.append(clip)
             frames = clip_features(clip, self._scene, self._dt, window, source)
             split = len(frames) - max(len(frames) // 5, 0)
             parts = (frames[:split], frames[split:])
@@ -117,6 +122,9 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
             for part, name in zip(parts, found, strict=True):
                 found[name].append(part.unfold(0, window, 1).mT)
         self._windows = {name: torch.cat(w).to(self.device) for name, w in found.items()}
+
+    def sources(self) -> Mapping[str, Any]:
+        return {"clips": terms_of(self._clips)}
 
     def iterate(self, samples: int) -> dict[str, Any]:
         windows, batch = self._windows["training"], self.options.batch

@@ -1,7 +1,7 @@
 """Whom a run is owed to, and on what terms: commands ``cite`` and ``licence``."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("report", "skills")
+REQUIRES = ("reinforcement", "report", "skills")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

@@ -19,38 +19,11 @@ class Verdict:
     why: str
 
 
-#: Whole texts of licences, by a sentence that only they have; the first that is found counts.
-_TEXTS = (
-    (r"attribution-noncommercial-sharealike", "CC BY-NC-SA"),
-    (r"attribution-noncommercial-noderiv", "CC BY-NC-ND"),
-    (r"attribution-noncommercial", "CC BY-NC"),
-    (r"attribution-noderiv", "CC BY-ND"),
-    (r"attribution-sharealike", "CC BY-SA"),
-    (r"creative commons attribution|attribution 4\.0 international", "CC BY"),
-    (r"cc0 1\.0 universal|creative commons zero", "CC0"),
-    (r"gnu affero general public license", "AGPL"),
-    (r"gnu lesser general public license", "LGPL"),
-    (r"gnu general public license", "GPL"),
-    (r"mozilla public license", "MPL"),
-    (r"apache license\s+version 2\.0", "Apache-2.0"),
-    (r"permission is hereby granted, free of charge, to any person", "MIT"),
-    (r"redistribution and use in source and binary forms", "BSD"),
-    (r"this is free and unencumbered software", "Unlicense"),
-)
 _FORBIDS = r"non.?commercial|\bby-nc\b|\bnc\b|not for commercial|no commercial|(research|academic|personal|evaluation) (use |purposes )?only|only for (research|academic|personal)|\bsmpl\b|\bamass\b"
 _NO_CHANGES = r"\bby-(nc-)?nd\b|no.?deriv"
 _CLOSED = r"all rights reserved|proprietary|confidential"
 _ALIKE = r"\b[al]?gpl|\bmpl\b|\beupl\b|\bby-(nc-)?sa\b|share.?alike"
 _FREE = r"\bapache|\bmit\b|\bbsd\b|\bisc\b|\bcc0\b|\bzlib\b|\bunlicense\b|public domain|\bcc.by\b|\bcc-by\b|any purpose|free for research and commercial use|commercial use (is )?(allowed|permitted)"
-
-
-def named(text: str) -> str:
-    """The short name of the licence whose whole `text` is given, else its first line."""
-    flat = " ".join(text.lower().split())
-    for sign, name in _TEXTS:
-        if re.search(sign, flat):
-            return name
-    return next((line.strip()[:200] for line in text.splitlines() if line.strip()), "unknown")
 
 
 def judge(licence: str, purpose: Purpose) -> Verdict:

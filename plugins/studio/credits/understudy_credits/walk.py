@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -16,7 +16,9 @@ from understudy.folders import read
 from understudy.records import runs
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy_credits.terms import PURPOSES, Purpose, Verdict, judge, named
+from understudy_credits.terms import PURPOSES, Purpose, Verdict, judge
+from understudy_reinforcement.licences import beside, named, record_beside
+from understudy_reinforcement.origins import KINDS, clips_of_job, terms_of_bank, terms_of_record
 from understudy_report import words
 from understudy_report.values import mapping, sequence
 
@@ -24,10 +26,6 @@ __all__ = ["answer", "in_a_line", "open_made"]
 
 #: How far runs that began with runs are followed.
 _DEPTH = 8
-#: How the file beside a clip ends that says where it is from.
-_RECORD = ".provenance.json"
-#: Names of files that hold a licence.
-_LICENCE = re.compile(r"(licen[cs]e|copying)(\.(txt|md|rst))?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,10 @@ def items_of(made: Made, registry: Registry | None = None) -> list[Item]:
         found = [Item(**{**row, "licence": row["licence"] or "unknown"}) for row in texts]
         if made.shipped:
             # Its distribution answers for its weights, and for those that they began with.
-            begun = {(f"weights of {name}", "unknown") for name in _began_with(made.info)}
+            named = [
+                f"weights {at} {name}" for name in _began_with(made.info) for at in ("of", "below")
+            ]
+            begun = {(what, "unknown") for what in named}
             found = [item for item in found if (item.what, item.licence) not in begun]
             found.append(Item(f"weights of {made.name}", _distribution_licence(made.shipped)))
         return found
@@ -175,13 +176,33 @@ def _data(made: Made, registry: Registry, depth: int) -> Iterator[Item]:
     clip = mapping(sources.get("motion"))
     if clip:
         yield _clip(clip, copies)
+    for row in clips_of_job(made.info):
+        yield _of_terms(row, "")
     yield from _model(made.info, copies, registry)
     for asked, files in copies.items():
         if asked.startswith("clip ") or (asked.startswith("motion.") and not clip):
             yield _copied_clip(re.split("[ =]", asked, maxsplit=1)[1], files)
+        elif any(file.name == "run.json" for file in files) and not asked.startswith("controller "):
+            # what a run learned, such as features of motions
+            name = asked.rpartition(" ")[2]
+            yield from _weights_of(name, _inner(name, files, registry), registry, depth)
         elif not asked.startswith(("motion.", "mjcf ", "controller ")):
             yield from _file(asked, files)
     yield from _weights(made, sources, copies, registry, depth)
+
+
+def _of_terms(row: Mapping[str, str], name: str) -> Item:
+    """What a record says of something behind the run `name`."""
+    kind = next((kind for kind in KINDS if row.get(kind)), "")
+    licence, whom = row.get("licence") or "unknown", row.get("attribution", "")
+    of = "of " if kind == "weights" else ""
+    what = f"{kind} {of}{row[kind]}" if kind else f"weights below {Path(name).name}"
+    return Item(what, licence, whom, row.get("url", ""))
+
+
+def _all_of(licences: Iterable[str]) -> str:
+    """Several licences as one expression, each once."""
+    return " AND ".join(dict.fromkeys(part for text in licences for part in text.split(" AND ")))
 
 
 def _file(asked: str, files: list[Path]) -> Iterator[Item]:
@@ -189,15 +210,14 @@ def _file(asked: str, files: list[Path]) -> Iterator[Item]:
     clips = _clips_of_bank(files) if asked.startswith("bank ") else None
     if clips == []:
         return
-    clips = clips or [{"licence": _beside(files)}]
+    clips = clips or [{"licence": beside(files)}]
 
     def of_all(key: str, sign: str) -> str:
         return sign.join(dict.fromkeys(clip[key] for clip in clips if clip.get(key)))
 
-    licences = [clip.get("licence") or "unknown" for clip in clips]
     yield Item(
         f"file {Path(asked.partition('=')[2] or asked).name}",
-        " AND ".join(dict.fromkeys(licences)),
+        _all_of(clip.get("licence") or "unknown" for clip in clips),
         of_all("attribution", " "),
         of_all("url", " ") or asked,
     )
@@ -215,7 +235,7 @@ def _copies(made: Made) -> dict[str, list[Path]]:
 
 def _clip(clip: Mapping[str, Any], copies: Mapping[str, list[Path]]) -> Item:
     licence = words.text(clip.get("licence") or "unknown")
-    whole = [_beside(files) for asked, files in copies.items() if asked.startswith("motion.")]
+    whole = [beside(files) for asked, files in copies.items() if asked.startswith("motion.")]
     if whole and whole[0] != "unknown" and ("see LICENSE" in licence or licence == "unknown"):
         licence = whole[0]
     return Item(
@@ -228,15 +248,11 @@ def _clip(clip: Mapping[str, Any], copies: Mapping[str, list[Path]]) -> Item:
 
 def _copied_clip(asked: str, files: list[Path]) -> Item:
     """A clip of which nothing but its copy is recorded, with the record beside that."""
-    record: Mapping[str, Any] = {}
-    for path in files:
-        if path.name.endswith(_RECORD):
-            with suppress(OSError, ValueError, RecursionError):
-                record = mapping(json.loads(read(path, 2**16)))
+    record = record_beside(files)
     name = Path(asked).name
     return Item(
         f"clip {name}",
-        words.text(record.get("licence") or _beside(files)),
+        words.text(record.get("licence") or beside(files)),
         words.text(record.get("attribution") or ""),
         words.text(record.get("url") or "") or name,
     )
@@ -247,7 +263,7 @@ def _model(
 ) -> Iterator[Item]:
     of_files = [(asked, files) for asked, files in copies.items() if asked.startswith("mjcf ")]
     for asked, files in of_files:
-        licence, name = _beside(files), Path(asked.removeprefix("mjcf ")).name
+        licence, name = beside(files), Path(asked.removeprefix("mjcf ")).name
         yield Item(f"model {name}", licence)
         meshes = [f for f in files if f.suffix.lower() in (".stl", ".obj", ".msh", ".ply", ".dae")]
         if meshes:
@@ -263,24 +279,12 @@ def _model(
 def _clips_of_bank(files: list[Path]) -> list[dict[str, str]] | None:
     """The clips behind a bank; None where it does not say, or is damaged."""
     from understudy.records.checkpoint import read_sealed  # and torch, for its tensors
-    from understudy_skills.origins import clips_of_bank
 
     for path in files:
         if path.suffix == ".json":
             with suppress(RunError):
-                return clips_of_bank(mapping(mapping(read_sealed(path)).get("meta")))
+                return terms_of_bank(mapping(mapping(read_sealed(path)).get("meta")))
     return None
-
-
-def _beside(files: list[Path]) -> str:
-    """The licence among the copies, by its name where the text is a known one's."""
-    for path in files:
-        if _LICENCE.fullmatch(path.name):
-            try:
-                return named(read(path, 2**20).decode("utf-8", "replace"))
-            except OSError:
-                continue
-    return "unknown"
 
 
 def _weights(
@@ -295,6 +299,7 @@ def _weights(
         yield Item(f"weights below {Path(made.name).name}", "unknown")
         return
     config, start = mapping(made.info.get("config")), mapping(sources.get("start"))
+    records = [start, *(mapping(sources.get(key)) for key in ("policy", "bank"))]
     asked = {words.text(name) for name in sequence(mapping(config.get("actuation")).get("runs"))}
     # wherever the configuration names them, as in stages of a sequence
     asked |= {key.removeprefix("controller ") for key in copies if key.startswith("controller ")}
@@ -308,8 +313,20 @@ def _weights(
     for name in sorted(asked - {""}):
         files = copies.get(f"controller {name}", [])
         inner = _inner(name, files, registry)
-        if inner is None and start.get("run") == name and isinstance(start.get("sources"), Mapping):
-            inner = Made(name, {"sources": start["sources"], "inputs": {}}, None)
+        record = next((r for r in records if r.get("run") == name), {})
+        if inner is None and (rows := terms_of_record(record)) is not None:
+            items = [asdict(_of_terms(row, name)) for row in rows]
+            inner = Made(
+                name, {"licence": {"items": items}, "config": {}, "sources": {}, "inputs": {}}
+            )
+        elif inner is None and isinstance(record.get("sources"), Mapping):
+            # as was written before: the clip alone is known
+            old = Made(name, {"sources": record["sources"]})
+            below = Item(
+                f"weights below {Path(name).name}", "unknown", source=f"understudy licence {name}"
+            )
+            items = [asdict(item) for item in (*_data(old, registry, depth - 1), below)]
+            inner = Made(name, {"licence": {"items": items}})
         yield from _weights_of(name, inner, registry, depth)
 
 
@@ -323,7 +340,7 @@ def _weights_of(name: str, inner: Made | None, registry: Registry, depth: int) -
     parts = [item for item in whole if not item.what.startswith("code ")]
     if not parts and (known or {"config", "sources", "inputs"} <= inner.info.keys()):
         return  # of nobody's but its own maker's, who has this run
-    licence = " AND ".join(dict.fromkeys(item.licence for item in parts))
+    licence = _all_of(item.licence for item in parts)
     whom = "" if licence else f"understudy licence {name}"
     yield Item(f"weights of {Path(name).name}", licence or "unknown", source=whom)
     yield from parts

@@ -52,6 +52,17 @@ def test_commands_take_a_skill_where_they_take_a_run(
     assert f"run.dir={made}" in runs.open_run(made).info["overrides"]
 
 
+def test_a_training_begins_with_no_pack(
+    packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """It was called a folder that has no run.json."""
+    monkeypatch.chdir(tmp_path)
+    words = ["experiment=miniature/go", f"start.run={packed}", "run.dir=new"]
+    assert main(["train", *words]) == 2
+    assert f"`understudy play {packed} --unpack runs/go` makes one" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_it_is_unpacked_once(packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     first = run_folder(str(packed))
@@ -123,9 +134,12 @@ def test_a_run_stays_as_it_is(packed: Path) -> None:
     assert run_folder(str(packed.parent / "run")) == str(packed.parent / "run")
 
 
-def test_what_is_read_of_another_run_by_no_name_is_not_packed(built_on: Path) -> None:
+def test_what_is_read_of_another_run_by_no_name_is_not_packed(
+    built_on: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """But for what its parts asked for; what a training began with, or a job took, is not read again."""
     opened = skill.gathering(open_skill(str(built_on / "sleeve")))
+    monkeypatch.chdir(built_on / "go")
     run, config = str(built_on / "go"), dict(opened.card["config"])
 
     def refuse(part: str, options: dict[str, Any]) -> None:
@@ -139,6 +153,8 @@ def test_what_is_read_of_another_run_by_no_name_is_not_packed(built_on: Path) ->
     stages = {"stages": [{"run": run}]}
     with pytest.raises(ConfigError, match=r"actuation\.stages\.0\.run=.* Pass on the run folder"):
         refuse("actuation", stages)
+    for word in ("", "x" * 5000, "a\0b"):  # the empty one named the working folder
+        refuse("reward", {"terms": {"style": {"runs": [word]}}})
     inputs = opened.experiment.inputs
     assert isinstance(inputs, PackInputs)
     inputs.asked.add(f"features {run}")
