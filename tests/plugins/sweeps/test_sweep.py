@@ -682,6 +682,7 @@ def test_beginning_from_an_earlier_trial(tmp_path: Path, scripted: Any, monkeypa
         "parts": ["actor"],
         "samples": 24,
         "sources": {},
+        "behind": [],
     }
 
 

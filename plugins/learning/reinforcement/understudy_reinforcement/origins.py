@@ -11,7 +11,6 @@ from typing import Any
 
 from understudy.errors import RunError
 from understudy.folders import read
-from understudy.records.checkpoint import read_sealed
 from understudy_reinforcement.licences import beside, record_beside
 
 __all__ = ["KINDS", "clips_of_job", "terms_behind", "terms_of_bank", "terms_of_record"]
@@ -150,6 +149,10 @@ def _terms(row: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _card(file: Path) -> Mapping[str, Any]:
+    from understudy.records.checkpoint import (
+        read_sealed,
+    )  # takes torch, which most licences need not
+
     with suppress(RunError):
         return _mapping(_mapping(read_sealed(file)).get("meta"))
     return {}
