@@ -66,9 +66,8 @@ class Footing(Memory):
         low = corners[..., 2] <= lowest.unsqueeze(2) + SOLE
         was_low = before[..., 2] <= was_lowest.unsqueeze(2) + SOLE
         both = low & was_low
-        both = torch.where(
-            both.any(dim=2, keepdim=True), both, low
-        )  # no point of it stayed: it rolls
+        stayed = both.any(dim=2, keepdim=True)
+        both = torch.where(stayed, both, low)  # where no point of it stayed, it rolls
         moved = torch.linalg.vector_norm(corners[..., :2] - before[..., :2], dim=-1) / self._dt
         speed = torch.where(both, moved, torch.inf).amin(dim=2)
         touches = torch.maximum(lowest, was_lowest) <= self._touching
@@ -88,4 +87,5 @@ class Footing(Memory):
         return at + (turned @ self._points.unsqueeze(-1)).squeeze(-1)
 
     def _depth(self, corners: Tensor) -> Tensor:
+        """(N,) m, how deep the lowest of all corners is in the floor; 0 above it."""
         return (-corners[..., 2].amin(dim=(1, 2))).clamp(min=0.0)
