@@ -19,7 +19,8 @@ from understudy.testing import check_simulator
 from understudy_cloth import mesh
 from understudy_cloth.mesh import SHARED_VERTICES, WEIGHTED_VERTICES
 from understudy_cloth.scene import Capsule, ClothModel, Grip, Tool
-from understudy_cloth.solver import Features, build_kernels
+from understudy_cloth.solver import build_kernels
+from understudy_cloth.world import Features
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -2,7 +2,7 @@
 simulation runs (Zhang et al. 2020, section 3.5.1, algorithms 1 and 2)."""
 
 # ruff: noqa: UP018, RUF046 - Warp changes only those local numbers that were made by int(…)
-# pyright: reportGeneralTypeIssues=false, reportAssignmentType=false, reportInvalidTypeForm=false
+# pyright: reportInvalidTypeForm=false
 
 from __future__ import annotations
 

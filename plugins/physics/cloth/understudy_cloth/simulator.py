@@ -28,8 +28,9 @@ from understudy_cloth.mesh import (
     vertex_areas,
 )
 from understudy_cloth.scene import ClothModel, ClothScene
-from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
+from understudy_cloth.solver import build_kernels
 from understudy_cloth.weight import compliance_of
+from understudy_cloth.world import MOST_SHAPES, Cloth, Features
 from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState

@@ -3,9 +3,6 @@
 
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
-# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
-# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
 
 import warp as wp
 

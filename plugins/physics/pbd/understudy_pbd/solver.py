@@ -13,9 +13,7 @@ The kernels are specialised: what a scene does not have costs nothing.
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
 # ruff: noqa: UP018, RUF046, SIM102
-# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
-# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportInvalidTypeForm=false
 
 import functools
 from dataclasses import dataclass

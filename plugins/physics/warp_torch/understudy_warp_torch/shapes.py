@@ -4,9 +4,7 @@ and the friction of what touches them."""
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
 # ruff: noqa: UP018
-# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
-# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportInvalidTypeForm=false
 
 from __future__ import annotations
 
