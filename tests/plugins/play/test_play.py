@@ -329,6 +329,28 @@ def test_a_packed_skill_names_no_folder_of_its_makers(walk: skills.Skill, tmp_pa
     assert found["start"] == {"run": "before", "samples": 1000}
 
 
+def test_a_packed_skill_names_clips_and_models_of_no_folder(
+    walk: skills.Skill, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever plays it has them elsewhere, and is asked for them."""
+    clip, model = "/home/me/my clips/walk.bvh", "/home/me/robot.xml"
+    words = [f"motion.file={clip}", f"+x=[a,'{clip}']", "motion.file=/old/b.bvh"]
+    words = [*walk.card["overrides"], f"scene.character={model}", *words]
+    config = dict(walk.card["config"])
+    config["motion"] = {**config["motion"], "name": None, "file": clip}
+    config["scene"] = {**config["scene"], "character": model}
+    made = replace(walk, card={**walk.card, "overrides": words, "config": config})
+    pack(made, tmp_path / "walk", {})
+    card = open_skill(str(tmp_path / "walk.json")).card
+    assert card["config"]["motion"]["file"] == "walk.bvh"
+    assert card["config"]["scene"]["character"] == "robot.xml"
+    assert card["overrides"][-4:] == [
+        "scene.character=robot.xml", "motion.file=walk.bvh", "+x=[a,'walk.bvh']", "motion.file=b.bvh",
+    ]  # fmt: skip
+    assert main(["play", str(tmp_path / "walk.json"), "--video", str(tmp_path / "a.mp4")]) == 2
+    assert "no copies of them: give yours, motion.file=PATH." in capsys.readouterr().err
+
+
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
     pack(walk, tmp_path / "again", walk.card["evaluation"])
     again = open_skill(str(tmp_path / "again.json"))

@@ -38,6 +38,7 @@ from understudy_skills.pack_inputs import (
     files_of_state,
 )
 from understudy_skills.packing import (
+    is_of_a_disk,
     names_within,
     of_no_folder,
     packed_tensor,
@@ -45,7 +46,9 @@ from understudy_skills.packing import (
     renamed_in,
     sources_of_no_folder,
     unpacked,
+    without_place,
     words_in,
+    words_of_no_folder,
 )
 
 __all__ = [
@@ -123,20 +126,22 @@ class Skill:
             card = {**known, "config": _less(card["config"], _NOT_OF_CONTROLLERS)}
         card["sources"] = sources_of_no_folder(card.get("sources"))
         # with what its training began is among its sources; what it is has no use for it
-        card["config"] = _less(card["config"], ("start",))
+        card["config"] = without_place(_less(card["config"], ("start",)))
         banks, policies, files = dict[str, Held](), dict[str, Skill](), dict[str, Any]()
         if isinstance(inputs, PackInputs):
             banks, policies, files = inputs.banks, inputs.policies, inputs.carried()
         paths = {asked: asked.partition(" ")[2] for asked in (*banks, *policies)}
         for _, word in words_in(card["config"]):
             paths |= {asked: word for asked in files if _asks_for(asked, word)}
-        names = names_within([*dict.fromkeys(paths.values())], card.get("overrides"))
+        others = [w for _, w in words_in(card["config"]) if is_of_a_disk(w)]
+        names = names_within([*dict.fromkeys([*paths.values(), *others])], card.get("overrides"))
         config = renamed(dict(card["config"]), names)
-        if names and card.get("overrides") is not None:
-            card["overrides"] = [renamed_in(word, names) for word in card["overrides"]]
+        if card.get("overrides") is not None:
+            card["overrides"] = words_of_no_folder(
+                [renamed_in(word, names) for word in card["overrides"]]
+            )
         if isinstance(licence := card.get("licence"), Mapping):
             card["licence"] = {**licence, "items": [of_no_folder(i) for i in licence["items"]]}
-        config["run"] = {**config.get("run", {}), "dir": None}
 
         def within(asked: str) -> str:
             path = paths.get(asked, "")
