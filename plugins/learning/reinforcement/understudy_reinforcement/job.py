@@ -109,6 +109,7 @@ class Reinforcement(Job):
         fields = [name for part in asking for name in part.rollout_fields]
         seed = experiment.root.seed
         self.collector = Collector(self.environment, self.policy, seed, fields, learner.next_fields)
+        self.collector.check_room(learner.rollout_steps)
         if start := experiment.sections.get("start"):
             self._started = take_over(start, self.policy, initial, curriculum, experiment.registry)
             self.environment.reset(seed)  # episodes begin as what was taken over says
