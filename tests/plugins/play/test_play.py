@@ -351,6 +351,15 @@ def test_a_packed_skill_names_clips_and_models_of_no_folder(
     assert "no copies of them: give yours, motion.file=PATH." in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("ending", ["", ".safetensors"])
+def test_a_pack_without_its_ending_is_named(
+    walk: skills.Skill, tmp_path: Path, ending: str
+) -> None:
+    pack(walk, tmp_path / "my.walk", {})
+    with pytest.raises(ConfigError, match=rf"Did you mean '{tmp_path}/my\.walk\.json'\?"):
+        open_skill(str(tmp_path / f"my.walk{ending}"))
+
+
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
     pack(walk, tmp_path / "again", walk.card["evaluation"])
     again = open_skill(str(tmp_path / "again.json"))

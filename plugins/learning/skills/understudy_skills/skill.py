@@ -212,6 +212,9 @@ def open_skill(
         return _packed(path, path.stem, registry, without, overrides)
     if path.is_dir():
         return _of_run(path, overrides, registry, without)
+    card = path.with_name(f"{path.name.removesuffix('.safetensors')}.json") if path.name else path
+    if card.is_file():  # of a pack, which is two files
+        raise ConfigError(f"There is no skill '{source}'. Did you mean '{card}'?")
     raise ConfigError(
         f"There is no skill '{source}'.{suggestion(source, known)} The folder of a run will do, too."
     )
