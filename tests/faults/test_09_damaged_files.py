@@ -188,6 +188,28 @@ def test_an_untrained_policy_is_not_judged_as_the_trained_one(
             using()
 
 
+def test_a_run_without_a_checkpoint_of_its_training_is_said(
+    plugins: Plugins,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As of one that is trained just now, of which nothing is damaged."""
+    monkeypatch.setattr(setup_plugins, "installed", lambda: plugins)
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    assert open_skill(str(tmp_path / "run"), registry=plugins.registry).samples == 0
+    assert not capsys.readouterr().err, "it was not trained yet"
+    training.run.append_metrics(training.iterate())
+    assert open_skill(str(tmp_path / "run"), registry=plugins.registry).samples == 0
+    assert "nothing is learned in it" in capsys.readouterr().err
+    chosen = argparse.Namespace(run=str(tmp_path / "run"), overrides=[])
+    with pytest.raises(RunError, match="no checkpoint yet but that before training"):
+        commands.Evaluate().run(chosen)
+
+
 def test_an_older_checkpoint_is_not_played_in_silence(
     plugins: Plugins,
     tmp_path: Path,

@@ -17,6 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from understudy.command.command import tell
 from understudy.errors import ConfigError, RunError, suggestion
 from understudy.folders import read, write_atomically
 from understudy.inputs import Inputs
@@ -266,7 +267,8 @@ def _of_run(
     policy = state.get("policy")
     if not isinstance(policy, dict) or not all(isinstance(t, Tensor) for t in policy.values()):
         raise RunError(f"{path} is a run that learns no policy.")
-    samples = state["progress"]["samples"]
+    if not (samples := state["progress"]["samples"]) and run.metrics():
+        tell(f"{path} has no checkpoint yet but that before training: nothing is learned in it.")
     card = {
         "config": config,
         "overrides": [o for o in words if not _OF_THE_RUN.match(o)],
