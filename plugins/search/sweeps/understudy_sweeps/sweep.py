@@ -43,6 +43,11 @@ __all__ = ["sweep"]
 #: Overrides that are the sweep's own, not its trials'.
 _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
 
+#: Overrides that mean an option with dots in its name, and stand for nested ones.
+_DOTTED = re.compile(
+    r"\+*outer_loop\.(parameters|low|high)\.(\w+\.[\w.]*?\w)(?:\.(?:low|high|scale|integer))?="
+)
+
 
 def sweep(overrides: Sequence[str]) -> int:
     """Run the sweep that `overrides` describe; prints a table, its page and the sweep's folder.
@@ -240,6 +245,12 @@ def _composed(overrides: Sequence[str]) -> Experiment:
     try:
         return load_experiment(overrides, installed())
     except ConfigError as error:
+        dotted = (_DOTTED.match(override) for override in overrides)
+        if (found := next(filter(None, dotted), None)) and str(error).startswith("outer_loop."):
+            group, name = found.groups()
+            raise ConfigError(
+                f"{error} A name that has dots itself is given in a mapping, as 'outer_loop.{group}={{{name}: …}}'."
+            ) from error
         loops = [o for o in overrides if o.startswith(("search=", "ablation="))]
         other = [o for o in overrides if o.startswith("experiment=")]
         if not loops or not other:
