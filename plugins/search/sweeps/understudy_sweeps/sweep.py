@@ -325,8 +325,9 @@ def _check_ranges(
         ]
         if named == [path]:
             low, high = ranges[path]
+            cure = "" if said.endswith("leave it out.") else " Give it another range."
             raise ConfigError(
-                f"This search takes {path} from {low:g} to {high:g}, and {said} Give it another range."
+                f"This search takes {path} from {low:g} to {high:g}, and {said}{cure}"
             )
 
 
