@@ -330,9 +330,13 @@ def test_a_packed_skill_names_no_folder_of_its_makers(walk: skills.Skill, tmp_pa
 
 
 def test_a_packed_skill_names_clips_and_models_of_no_folder(
-    walk: skills.Skill, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    walk: skills.Skill,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whoever plays it has them elsewhere, and is asked for them."""
+    monkeypatch.chdir(tmp_path)
     clip, model = "/home/me/my clips/walk.bvh", "/home/me/robot.xml"
     words = [f"motion.file={clip}", f"+x=[a,'{clip}']", "motion.file=/old/b.bvh"]
     words = [*walk.card["overrides"], f"scene.character={model}", *words]
@@ -349,6 +353,10 @@ def test_a_packed_skill_names_clips_and_models_of_no_folder(
     ]  # fmt: skip
     assert main(["play", str(tmp_path / "walk.json"), "--video", str(tmp_path / "a.mp4")]) == 2
     assert "no copies of them: give yours, motion.file=PATH." in capsys.readouterr().err
+    for file in ("a.onnx", "a.glb"):  # commands that take no overrides
+        assert main(["export", str(tmp_path / "walk.json"), str(tmp_path / file)]) == 2
+        told = f"`understudy play {tmp_path}/walk.json motion.file=PATH --unpack FOLDER`"
+        assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", ["", ".safetensors"])

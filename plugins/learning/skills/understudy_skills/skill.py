@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,10 @@ import torch
 from torch import Tensor
 
 from understudy.command.command import tell
-from understudy.errors import ConfigError, RunError, suggestion
+from understudy.errors import ConfigError, FileError, RunError, suggestion
 from understudy.folders import read, write_atomically
 from understudy.inputs import Inputs
+from understudy.options import at
 from understudy.records import checkpoint, runs
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment
@@ -57,6 +58,7 @@ __all__ = [
     "gathering",
     "names",
     "open_skill",
+    "others_named",
     "pack",
     "read_card",
     "refuse_of_others",
@@ -67,6 +69,8 @@ __all__ = [
 
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
+#: Options that name a clip or a model.
+_FILES_OF_OTHERS = ("motion.file", "motion.skeleton", "scene.character")
 #: What of a run acts inside another task.
 _ACTING = re.compile(r"(encoder|actuation|policy)\b")
 #: What of a run a policy that acts inside another task has no use for.
@@ -372,6 +376,23 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise RunError(f"{name} is no packed skill: its overrides are no list of words.")
     return words
+
+
+@contextlib.contextmanager
+def others_named(skill: Skill, source: str, cure: str) -> Iterator[None]:
+    """Inside, a clip or a model that is missing is said to be one of those that the pack `source` only names; `cure` says what
+    to do, with ``{}`` for the override that gives it."""
+    try:
+        yield
+    except FileError as error:
+        config = skill.card.get("config")
+        given = {key: at(config, key) for key in _FILES_OF_OTHERS}
+        named = [f"{key}=PATH" for key, name in given.items() if name and str(name) in str(error)]
+        if Path(source).is_dir() or not named:
+            raise
+        raise FileError(
+            f"{error} A pack names clips and models, and has no copies of them: {cure.format(named[0])}."
+        ) from error
 
 
 def gathering(skill: Skill) -> Skill:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from understudy.command.command import Command, tell
-from understudy.errors import ConfigError, FileError, UnderstudyError, shown
+from understudy.errors import ConfigError, UnderstudyError, shown
 from understudy.setup.plugins import installed
 from understudy.setup.root import Root
 from understudy_characters.scene import CharacterScene
@@ -33,6 +32,7 @@ from understudy_skills.skill import (
     gathering,
     names,
     open_skill,
+    others_named,
     pack,
     read_card,
     refuse_of_others,
@@ -49,8 +49,6 @@ _EVERY = 3.0
 #: Of a video: s, as of a training's, and pixels.
 _SECONDS = Root().run.video_seconds
 _WIDTH, _HEIGHT = 800, 450
-#: Options that name a file which a pack does not have: section and name.
-_FILES = (("motion", "file"), ("motion", "skeleton"), ("scene", "character"))
 
 
 class Play(Command):
@@ -129,7 +127,7 @@ class Play(Command):
         if options.pack is options.unpack is None:
             refuse_of_trainings(options.overrides, "what is played")
         skill = open_skill(options.skill, options.overrides)
-        with _others_named(skill, Path(options.skill)):
+        with others_named(skill, options.skill, "give yours, {}"):
             return self._shown(skill, options)
 
     def _shown(self, skill: Skill, options: argparse.Namespace) -> int:
@@ -145,22 +143,6 @@ class Play(Command):
         if options.video is not None:
             return _film(skill, options)
         return serve(lambda: Player(skill), options)
-
-
-@contextmanager
-def _others_named(skill: Skill, source: Path) -> Iterator[None]:
-    """Inside, a clip or a model that is missing is said to be one of those that the pack at `source` only names."""
-    try:
-        yield
-    except FileError as error:
-        config = mapping(skill.card.get("config"))
-        given = {f"{k}.{n}": mapping(config.get(k)).get(n) for k, n in _FILES}
-        named = [f"{key}=PATH" for key, name in given.items() if name and str(name) in str(error)]
-        if source.is_dir() or not named:
-            raise
-        raise FileError(
-            f"{error} A pack names clips and models, and has no copies of them: give yours, {named[0]}."
-        ) from error
 
 
 def _list() -> None:
