@@ -171,7 +171,7 @@ class Run:
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
         samples = at(state, "progress.samples")
         if type(samples) is not int or not 0 <= samples < 2**63:
-            raise RunError(f"{path} is damaged: it does not say of how many samples it is.")
+            raise RunError(f"{path} is damaged: it does not say after how many samples it is.")
         if samples == 0 and path != checkpoint.newest(self.checkpoints)[0]:
             raise RunError(f"{self.path}: only the checkpoint before training is intact; resume.")
         return state, meta
