@@ -14,12 +14,13 @@ import torch
 from worlds import SMALL, assert_same_state, make_training, resumed
 
 from understudy.errors import RunError
-from understudy.records import checkpoint
+from understudy.records import checkpoint, runs
 from understudy.records.runs import open_run
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_judging import commands
+from understudy_skills.skill import open_skill
 
 
 @pytest.fixture
@@ -179,3 +180,51 @@ def test_an_untrained_policy_is_not_judged_as_the_trained_one(
     for command in (commands.Evaluate(), commands.Render()):
         with pytest.raises(RunError, match="only the checkpoint before training is intact"):
             command.run(chosen)
+    for using in (
+        lambda: open_skill(str(run), registry=plugins.registry),
+        lambda: runs.newest_state(str(run)),
+    ):
+        with pytest.raises(RunError, match=r"run: only the checkpoint before training is intact"):
+            using()
+
+
+def test_a_run_without_a_checkpoint_of_its_training_is_said(
+    plugins: Plugins,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As of one that is trained just now, of which nothing is damaged."""
+    monkeypatch.setattr(setup_plugins, "installed", lambda: plugins)
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    assert open_skill(str(tmp_path / "run"), registry=plugins.registry).samples == 0
+    assert not capsys.readouterr().err, "it was not trained yet"
+    training.run.append_metrics(training.iterate())
+    assert open_skill(str(tmp_path / "run"), registry=plugins.registry).samples == 0
+    assert "nothing is learned in it" in capsys.readouterr().err
+    chosen = argparse.Namespace(run=str(tmp_path / "run"), overrides=[])
+    with pytest.raises(RunError, match="no checkpoint yet but that before training"):
+        commands.Evaluate().run(chosen)
+
+
+def test_an_older_checkpoint_is_not_played_in_silence(
+    plugins: Plugins,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(setup_plugins, "installed", lambda: plugins)
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    assert training.run is not None
+    for _ in range(2):
+        training.run.append_metrics(training.iterate())
+        training.save()
+    training.run.unlock()
+    trained = open_skill(str(tmp_path / "run"), registry=plugins.registry).samples
+    assert not capsys.readouterr().err
+    (tmp_path / "run/checkpoints/00000002.safetensors").write_bytes(b"")
+    assert 0 < open_skill(str(tmp_path / "run"), registry=plugins.registry).samples < trained
+    assert "Falling back to the one before it" in capsys.readouterr().err

@@ -6,9 +6,11 @@ from __future__ import annotations
 import dataclasses
 import typing
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from worlds import SMALL
 
 from understudy.command.cli import main
@@ -181,6 +183,32 @@ def test_sizes_of_a_scene_together() -> None:
     words = ["scene.blocks=100", "scene.block=[100, 100, 100]", "scene.resolution=3"]
     with pytest.raises(ConfigError, match=r"^scene\.blocks=100 .* more than 100000 particles"):
         load_experiment(["experiment=amorphous/gather_small", *words])
+
+
+def test_a_rollout_that_no_memory_holds_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each size alone is possible. It ended in a traceback, and left a run."""
+    words = ["experiment=miniature/go", "num_worlds=50000", "learner.rollout_steps=100000"]
+    words += ["learner.minibatches=null", "learner.batch_size=64"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch, "empty", scarce(torch.empty))
+        assert main(["train", *words, f"run.dir={tmp_path / 'run'}"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    said = "The rollout (num_worlds=50000 times learner.rollout_steps=100000) asks for more memory"
+    assert error.startswith(f"understudy: {said}")
+    assert not (tmp_path / "run").exists()
+
+
+def scarce(allocate: Any) -> Any:
+    """`allocate` where no more than a tenth of a tebibyte can be had, as an allocator says it."""
+
+    def given(*size: Any, **options: Any) -> torch.Tensor:
+        if isinstance(size[0], int) and size[0] > 10**11:
+            raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to …")
+        return allocate(*size, **options)
+
+    return given
 
 
 def test_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:

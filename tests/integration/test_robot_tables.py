@@ -334,24 +334,88 @@ def test_radians_of_a_robot_that_keeps_its_feet_on_the_floor_are_asked_nothing(
     torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
 
 
-def test_where_both_units_fit_it_is_said_which_is_taken(
-    tmp_path: Path, character: Character
-) -> None:
-    """Of a robot that stands and whose hinges move by less than a third of a degree, or of a radian."""
+def standing(character: Character, swing: float) -> np.ndarray:
+    """(F, nq) of a robot that stays where it is, its hinges swinging by so many rad."""
     qpos = moving(character)
     qpos[:, :7] = qpos[0, :7]
-    qpos[:, 7:] *= 0.2
+    qpos[:, 7:] *= swing / 0.3
+    return qpos
+
+
+def table(tmp_path: Path, qpos: np.ndarray) -> Path:
     np.savetxt(
         tmp_path / "x.csv", qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]], delimiter=","
     )
-    with pytest.warns(
-        UserWarning,
-        match=r"read in radians, though degrees would fit robot as well; motion\.angles=radians",
+    return tmp_path / "x.csv"
+
+
+@pytest.mark.parametrize("unit", ["degrees", "radians"])
+def test_where_both_units_fit_it_is_asked(
+    tmp_path: Path, character: Character, unit: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a robot that stands and whose arms swing by a degree, or a radian: one of the two was taken, with a warning."""
+    qpos = standing(character, 0.9 if unit == "radians" else np.radians(0.9))
+    legs = [n for n in character.hinges if "shoulder" not in n]
+    qpos[:, [character.hinges[n] for n in legs]] = 0.0
+    own = in_degrees(tmp_path, qpos) if unit == "degrees" else table(tmp_path, qpos)
+    with pytest.raises(
+        FileError,
+        match=r"radians or degrees: .* give motion\.angles=degrees .* or motion\.angles=radians",
     ):
-        character.posed(read(tmp_path / "x.csv"))
+        character.posed(read(own))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        character.posed(read(tmp_path / "x.csv", angles="radians"))
+        clip = character.posed(read(own, angles=unit))
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+    model = robot_file(tmp_path)
+    assert (
+        main(
+            [
+                "motion",
+                "check",
+                str(own),
+                "--character",
+                str(model),
+                "--fix",
+                str(tmp_path / "y.npz"),
+            ]
+        )
+        == 2
+    )
+    assert "--angles degrees" in capsys.readouterr().err
+    assert not (tmp_path / "y.npz").exists()
+
+
+def test_bent_knees_of_a_robot_on_the_floor_are_radians(
+    tmp_path: Path, character: Character
+) -> None:
+    """As degrees its legs would be straight, and reach 9 cm into the floor."""
+    qpos = standing(character, 0.02)
+    for name, angle in (("hip_y", -0.4), ("knee", 0.8), ("ankle_y", -0.4)):
+        qpos[:, [character.hinges[f"{side}_{name}"] for side in ("left", "right")]] += angle
+    qpos[:, 2] -= character.clearance(torch.from_numpy(qpos[:1])).min().item()
+    clip = character.posed(read(table(tmp_path, qpos)))
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+
+
+def test_angles_that_would_turn_too_fast_as_radians_are_asked_about(
+    tmp_path: Path, character: Character
+) -> None:
+    qpos = moving(character)
+    qpos[:, 7:] = 0.0
+    shoulder = character.hinges["left_shoulder_y"]
+    qpos[:, shoulder] = np.where(np.arange(FRAMES) % 2, 1.2, -1.2)
+    with pytest.raises(FileError, match=r"hinges turn by 72 rad/s, as degrees by 1\.3 rad/s"):
+        character.posed(read(table(tmp_path, qpos)))
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.004])
+def test_where_the_unit_makes_no_difference_nothing_is_asked(
+    tmp_path: Path, character: Character, swing: float
+) -> None:
+    qpos = standing(character, swing)
+    clip = character.posed(read(table(tmp_path, qpos)))
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
 
 
 def test_it_is_learned_and_checked(

@@ -35,6 +35,7 @@ from typing import Any
 from understudy.errors import RunError
 from understudy.folders import UNSUPPORTED, check_within, open_lock, opened, read, write_atomically
 from understudy.inputs import Inputs
+from understudy.options import at
 from understudy.setup import plugins
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
@@ -129,10 +130,9 @@ class Run:
         holds any more, because it was removed or replaced."""
         if self._lock is None:
             return
-        try:
+        held = False
+        with contextlib.suppress(OSError):
             held = os.path.samestat(os.fstat(self._lock.fileno()), os.lstat(self.path / ".lock"))
-        except OSError:
-            held = False
         if not held:
             raise RunError(
                 f"{self.path} was removed or replaced while a process trained in it, so nothing more is "
@@ -163,18 +163,17 @@ class Run:
         return self.info.get("judged")
 
     def newest(
-        self, warn: Callable[[str], None] = lambda text: None
+        self, warn: Callable[[str], None] = lambda text: print(text, file=sys.stderr)
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The ``(state, meta)`` of the newest intact checkpoint; `warn` hears of damaged ones. A
-        RunError if there is none, or if it does not say after how many samples it was made."""
+        """``(state, meta)`` of the newest intact checkpoint, a RunError if none is; `warn` hears of damaged ones."""
         from understudy.records import checkpoint  # without tensors, torch is not imported
 
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
-        progress = state.get("progress") if isinstance(state, dict) else None
-        samples = progress.get("samples") if isinstance(progress, dict) else None
+        samples = at(state, "progress.samples")
         if type(samples) is not int or not 0 <= samples < 2**63:
-            lacks = "it does not say after how many samples it was made"
-            raise RunError(f"{path} is damaged: {lacks}.")
+            raise RunError(f"{path} is damaged: it does not say after how many samples it is.")
+        if samples == 0 and path != checkpoint.newest(self.checkpoints)[0]:
+            raise RunError(f"{self.path}: only the checkpoint before training is intact; resume.")
         return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
@@ -322,7 +321,7 @@ def open_run(path: str | Path) -> Run:
 
 def newest_state(path: str) -> State:
     """The state of the newest intact checkpoint of the run folder `path`."""
-    return open_run(path).newest(lambda text: print(text, file=sys.stderr))[0]
+    return open_run(path).newest()[0]
 
 
 def differences(old: Any, new: Any, where: str = "") -> list[str]:

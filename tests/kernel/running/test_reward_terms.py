@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from worlds import PADDLE_TASK, SMALL, make_training
 
+from understudy.errors import ConfigError
 from understudy.setup.plugins import Plugins
 
 TWO = ("reward.terms.low.weight=0.5", "+reward.terms.again={name: test/low, weight: 2.0}")
@@ -28,3 +29,13 @@ def test_one_term_is_the_reward(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
     assert {n for n in training.iterate() if n.startswith("reward")} == {"reward"}
     training.close()
+
+
+@pytest.mark.parametrize("combine", ["sum", "product"])
+def test_rewards_of_no_weight_are_refused(plugins: Plugins, tmp_path: Path, combine: str) -> None:
+    """A sum is 0 then and a product 1, whatever happens: nothing was learned, and nothing said so."""
+    words = [*PADDLE_TASK, *SMALL, *TWO, f"reward.combine={combine}", "reward.terms.low.weight=0"]
+    with pytest.raises(ConfigError, match=r"weight=0 \(reward\.terms\.low, reward\.terms\.again\)"):
+        make_training(plugins, [*words, "reward.terms.again.weight=0"], tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    make_training(plugins, words, tmp_path / "one").close()

@@ -17,6 +17,7 @@ from understudy.options import make_options
 from understudy.setup.plugins import installed
 from understudy_bayes.boca import BOCA, cheapest, relative_cost
 from understudy_bayes.book import Data
+from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.random_search import RandomSearch
 from understudy_bayes.space import Parameter
@@ -186,6 +187,15 @@ def test_without_botorch_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(PluginError, match=r"pip install 'understudy\[bayes\]'"):
         _ = component.factory
     assert dataclasses.replace(registry.find("outer_loop", "random_search")).factory
+
+
+def test_ranges_are_told_before_the_first_trial() -> None:
+    """As the configuration is given them: whole numbers whole, and a budget by which trials are cheap."""
+    space = {"a.x": (-1.0, 1.0), "learner.rate": (1e-4, 1e-1), "learner.epochs": (1, 9)}
+    assert make(RandomSearch).ranges == make(GPUCB).ranges == make(BOCA).ranges == space
+    assert all(type(end) is int for end in make(GPUCB).ranges["learner.epochs"])
+    cheap = Fidelity("budget.samples", 1e6, 3e6, integer=True)
+    assert make(BOCA, fidelity=cheap).ranges == space | {"budget.samples": (1_000_000, 3_000_000)}
 
 
 def test_errors_name_the_option() -> None:

@@ -45,6 +45,10 @@ def test_a_job_has_several_points_each_under_its_name() -> None:
     assert (first.key, second.key) == ("job0", "job1")
 
 
+def test_ranges_are_those_of_the_first_candidate() -> None:
+    assert made().ranges == {"starts.c0.x": (-1.0, 1.0), "starts.c0.y": (0.0, 2.0)}
+
+
 def test_the_first_points_are_those_of_a_search_of_single_ones() -> None:
     shared = {name: getattr(made()._options, name) for name in ("trials", "initial")}
     alone = GPUCB(GPUCB.Options(PATHS, **shared), 5)

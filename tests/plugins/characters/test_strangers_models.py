@@ -840,6 +840,45 @@ def test_a_model_that_attaches_others_is_what_mujoco_makes_of_it(
     assert list(character.hinges) == ["l_shoulder", "l_elbow", "r_shoulder", "r_elbow"]
 
 
+@pytest.mark.parametrize(
+    "more",
+    [
+        '<replicate count="3" euler="0 0 40" sep="-"><attach model="arm" body="upper" prefix="x_"/></replicate>',
+        '<replicate count="2" offset="0 0 .1"><body name="mid" pos=".2 0 0"><joint name="bend"/><geom size=".03"/>'
+        '<attach model="arm" prefix="x_"/></body></replicate>',
+        '<replicate count="2" sep="_" euler="0 0 90"><replicate count="11" offset=".1 0 0"><attach model="arm" body="upper" '
+        'prefix="x_"/></replicate><attach model="arm" body="upper" prefix="y_"/></replicate>',
+    ],
+)
+def test_models_attached_within_replicate_are_what_mujoco_makes_of_them(
+    tmp_path: Path, more: str
+) -> None:
+    """They were refused."""
+    path = attaching(tmp_path, more=more)
+    found, own = spec_of(read_mjcf(path)).compile(), mujoco.MjModel.from_xml_path(str(path))
+    alike(found, own)
+    assert [found.actuator(k).name for k in range(found.nu)] == [
+        own.actuator(k).name for k in range(own.nu)
+    ]
+    assert own.nu > 3
+    np.testing.assert_allclose(found.body_quat, own.body_quat, atol=1e-12)
+    assert len(load(path).hinges) == own.njnt - 1
+
+
+def test_a_key_of_a_model_that_attaches_others_is_of_its_own_joints(tmp_path: Path) -> None:
+    """Attached bodies came after the others of their parent, so that a key's numbers were of other joints than its author
+    meant."""
+    more = '<body name="head"><joint name="neck" axis="0 0 1"/><geom size=".1"/></body>'
+    text = TORSO.replace(
+        "</worldbody>",
+        '</worldbody><keyframe><key qpos="0 0 1 1 0 0 0 .1 .2 .3 .4 .5"/></keyframe>',
+    )
+    found = spec_of(read_mjcf(attaching(tmp_path, torso=text, more=more))).compile()
+    at = {found.joint(k).name: int(found.jnt_qposadr[k]) for k in range(1, found.njnt)}
+    assert [*at] == ["l_shoulder", "l_elbow", "r_shoulder", "r_elbow", "neck"]
+    assert found.key_qpos[0, at["neck"]] == 0.5
+
+
 def test_a_copy_of_it_needs_no_other_folder(tmp_path: Path) -> None:
     path = attaching(tmp_path)
     read = read_mjcf(path)
@@ -887,7 +926,7 @@ OUTSIDE = '<mujoco model="arm"><worldbody><body name="upper"><geom size=".1"/></
         ({"arm": "no XML"}, "no XML"),
         ({"body": 'body="none" '}, "the model 'arm' that it attaches has no body 'none'"),
         ({"name": 'name="other" '}, "it attaches the model 'arm', which it does not name"),
-        ({"more": '<replicate count="3"><attach model="arm" body="upper" prefix="x"/></replicate>'}, "within <replicate>"),
+        ({"more": '<replicate count="600"><attach model="arm" body="upper" prefix="x"/></replicate>'}, "more than 500 models in all"),
         ({"more": '<attach model="arm" body="upper" prefix="l_"/>'}, "does not (load|compile)"),
     ],
 )  # fmt: skip

@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from understudy.errors import ConfigError
+from understudy.options import make_options
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
@@ -217,3 +219,11 @@ def test_all_four_as_one_term() -> None:
     alone = rewards.Imitation.Options(pose=0.0, velocity=0.0, end_effectors=0.0, com=2.0)
     given = rewards.Imitation(alone, CONTEXT)(**fields).item()
     assert given == pytest.approx(2.0 * found["com"], rel=1e-5)
+
+
+def test_one_term_of_no_weights_is_refused() -> None:
+    none = {"pose": 0, "velocity": 0, "end_effectors": 0, "com": 0}
+    with pytest.raises(
+        ConfigError, match=r"reward\.terms\.i\.pose=0 is not possible with velocity=0"
+    ):
+        make_options(rewards.Imitation.Options, none, "reward.terms.i")

@@ -52,6 +52,11 @@ def test_it_asks_as_often_as_told(done: tuple[Any, Told]) -> None:
     assert all(0 <= value <= 1 for point in points(done[1]) for value in point)
 
 
+@pytest.mark.parametrize("kind", LOOPS)
+def test_ranges_are_told_before_the_first_trial(kind: Any) -> None:
+    assert make(kind).ranges == {"a.x": (0.0, 1.0), "a.y": (0.0, 1.0)}
+
+
 @pytest.mark.parametrize("cut", [1, 6, 9, 14])
 def test_a_stopped_search_ends_with_the_same_trials(done: tuple[Any, Told], cut: int) -> None:
     """As after a kill between any two rows of the journal."""

@@ -12,6 +12,7 @@ import pytest
 import torch
 from line_task import SIDE_AND_STEP, line_context, make_policy
 
+import understudy_export
 from understudy.command.cli import main
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
@@ -114,6 +115,14 @@ def test_it_says_how_it_is_used(exported: Path) -> None:
     assert chest["limit"] == pytest.approx(200.0)
     assert found["motion"]["licence"] == "Apache-2.0 (generated)"
     assert found["success"]["rate"] >= 0.9
+
+
+def test_it_says_nothing_of_whose_files_it_was_made_of(exported: Path) -> None:
+    """The exporter notes of each operation in which file its code is."""
+    content = exported.read_bytes()
+    assert b"site-packages" not in content
+    assert b".py" not in content
+    assert str(Path(understudy_export.__file__).parent).encode() not in content
 
 
 def test_the_reference_beside_it_is_what_the_task_observes(exported: Path, walk: Skill) -> None:

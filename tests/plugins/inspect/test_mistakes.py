@@ -98,6 +98,8 @@ MISTAKES = {
     "resume nosuch": "nosuch is no run folder",
     f"sweep {WALK} variants={{a:[]}} seeds=3": "outer_loop.seeds=3 is not possible: it takes a list of whole numbers.",
     f"sweep {WALK} variants={{a:[],b:[learner.gamma=2]}}": "Variant 'b' cannot be run: learner.gamma=2.0",
+    "sweep search=cmfbo/toy outer_loop.parameters.learner.epochs.low=2": "'outer_loop.parameters={learner.epochs: …}'.",
+    "sweep search=miniature/cmfbo outer_loop.high.actuation.strength=5": "'outer_loop.high={actuation.strength: …}'.",
     f"train {WALK} start=nosuch": "it takes a mapping of run, parts.",
     f"train {WALK} start.run=nosuch start.parts=[weights]": "start.parts[0]='weights' is not possible. Known: actor,",
     f"train {WALK} learner.gamma=nan": "learner.gamma=nan is not possible; give a finite number.",

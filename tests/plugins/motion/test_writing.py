@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from motion_files import walker
@@ -33,6 +34,27 @@ def test_what_is_written_is_read(tmp_path: Path, registry: Registry, ending: str
         read_clip(path, registry).root_position, walker().root_position, rtol=0, atol=1e-9
     )
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("/home/ann/my clips/walk.bvh", "walk.bvh"),
+        (r"C:\Users\ann\walk.bvh", "walk.bvh"),
+        ("~/walk.bvh", "walk.bvh"),
+        ("../ann/run/", "run"),
+        ("clips/walk.bvh", "clips/walk.bvh"),
+        ("generated", "generated"),
+        ("/", "/"),
+        ("", ""),
+    ],
+)
+def test_what_others_get_names_no_folder_of_whoever_wrote_it(
+    tmp_path: Path, registry: Registry, source: str, said: str
+) -> None:
+    write_clip(replace(walker(), source=source), tmp_path / "a.npz", registry)
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as found:
+        assert str(found["source"]) == said
 
 
 def test_other_endings_are_refused(tmp_path: Path, registry: Registry) -> None:

@@ -329,6 +329,45 @@ def test_a_packed_skill_names_no_folder_of_its_makers(walk: skills.Skill, tmp_pa
     assert found["start"] == {"run": "before", "samples": 1000}
 
 
+def test_a_packed_skill_names_clips_and_models_of_no_folder(
+    walk: skills.Skill,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Whoever plays it has them elsewhere, and is asked for them."""
+    monkeypatch.chdir(tmp_path)
+    clip, model = "/home/me/my clips/walk.bvh", "/home/me/robot.xml"
+    words = [f"motion.file={clip}", f"+x=[a,'{clip}']", "motion.file=/old/b.bvh"]
+    words = [*walk.card["overrides"], f"scene.character={model}", *words]
+    config = dict(walk.card["config"])
+    config["motion"] = {**config["motion"], "name": None, "file": clip}
+    config["scene"] = {**config["scene"], "character": model}
+    made = replace(walk, card={**walk.card, "overrides": words, "config": config})
+    pack(made, tmp_path / "walk", {})
+    card = open_skill(str(tmp_path / "walk.json")).card
+    assert card["config"]["motion"]["file"] == "walk.bvh"
+    assert card["config"]["scene"]["character"] == "robot.xml"
+    assert card["overrides"][-4:] == [
+        "scene.character=robot.xml", "motion.file=walk.bvh", "+x=[a,'walk.bvh']", "motion.file=b.bvh",
+    ]  # fmt: skip
+    assert main(["play", str(tmp_path / "walk.json"), "--video", str(tmp_path / "a.mp4")]) == 2
+    assert "no copies of them: give yours, motion.file=PATH." in capsys.readouterr().err
+    for file in ("a.onnx", "a.glb"):  # commands that take no overrides
+        assert main(["export", str(tmp_path / "walk.json"), str(tmp_path / file)]) == 2
+        told = f"`understudy play {tmp_path}/walk.json motion.file=PATH --unpack FOLDER`"
+        assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", ["", ".safetensors"])
+def test_a_pack_without_its_ending_is_named(
+    walk: skills.Skill, tmp_path: Path, ending: str
+) -> None:
+    pack(walk, tmp_path / "my.walk", {})
+    with pytest.raises(ConfigError, match=rf"Did you mean '{tmp_path}/my\.walk\.json'\?"):
+        open_skill(str(tmp_path / f"my.walk{ending}"))
+
+
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
     pack(walk, tmp_path / "again", walk.card["evaluation"])
     again = open_skill(str(tmp_path / "again.json"))

@@ -272,6 +272,18 @@ def test_a_run_keeps_the_auto_encoder_it_acts_by(
     assert (own / "evaluation.json").read_text() == before
 
 
+def test_what_has_no_character_is_not_judged_by_poses(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ended in a traceback, and left a judgement of another kind."""
+    shutil.copytree(run, tmp_path / "poses")
+    assert main(["pose_vae", "naturalness", str(run), str(tmp_path / "poses")]) == 2
+    told = capsys.readouterr()
+    assert "poses is judged by figures of its own, as no character moves in it" in told.err
+    assert told.out == ""
+    assert not (tmp_path / "poses" / "naturalness.json").exists()
+
+
 def test_a_known_pose_is_at_no_distance(run: Path) -> None:
     job = in_task(run, f"+measure.unusual={{name: pose_vae/distance, run: '{run}'}}").job
     assert isinstance(job, Reinforcement)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,6 +67,36 @@ def test_two_runs_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
         Follower(["a", "b"])
     assert main(["sitting", "follow", "sitting/walk", "sitting/walk"]) == 2
     assert "Give the run of walk, or those of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        (["sitting/sit"], "sitting/sit does not see where it is to go"),
+        (["sitting/meta"], "sitting/meta does not see where it is to go"),
+        (["sitting/turn_left_mirrored", "sitting/walk", "sitting/turn_right_learned"], "so it cannot be the walk"),
+        (["sitting/walk", "spacetime/walk", "spacetime/run"], "spacetime/walk decides 30 times a second"),
+        (["sitting/walk", "sitting/meta", "sitting/meta"], "sitting/meta decides in every 30. control period"),
+        (["sitting/walk", "sitting/sit", "sitting/sit"], "actuation needs the state field 'chair_state'"),
+        (["amorphous/flip_small"], "amorphous/flip_small does not see"),
+    ],
+)  # fmt: skip
+def test_what_cannot_follow_is_said_and_what_can(
+    runs: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was told to set what this command cannot be given, or it turned where it should have walked."""
+    assert main(["sitting", "follow", *runs, "--video", str(tmp_path / "x.mp4")]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "Give first what experiment=sitting/walk learned" in told
+    assert not re.search("Set |would come|Train ", told)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_name_with_a_quotation_mark_is_read(capsys: pytest.CaptureFixture[str]) -> None:
+    for runs in (["it's [mine]"], ["sitting/walk", "it's [mine]", "sitting/turn_right"]):
+        assert main(["sitting", "follow", *runs]) == 2
+        assert "There is no skill 'it's [mine]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])

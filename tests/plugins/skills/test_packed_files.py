@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import gc
+import json
 import os
 import re
 from pathlib import Path
@@ -14,6 +15,7 @@ import torch
 
 from understudy.errors import ConfigError, RunError
 from understudy.inputs import Inputs
+from understudy.records import checkpoint, runs
 from understudy_skills import pack_inputs
 from understudy_skills.pack_inputs import (
     MOST_FILE_BYTES,
@@ -22,6 +24,7 @@ from understudy_skills.pack_inputs import (
     files_as_state,
     files_of_state,
 )
+from understudy_skills.packing import card_of_no_folder, words_of_no_folder
 
 ASKED = "features runs/encoder"
 
@@ -87,6 +90,66 @@ def test_what_a_run_keeps_is_carried_and_only_what_is_read(tmp_path: Path) -> No
     again = PackInputs.gathering(source)
     again.file("grip.file=a.json", list)
     assert again.carried() == {"grip.file=a.json": {"grip.json": b"1/grip.json"}}
+
+
+def test_of_a_run_it_carries_nothing_of_its_makers_folders(tmp_path: Path) -> None:
+    """The words that made it, its folder and the clips that it learned from are paths of somebody's."""
+    home = tmp_path / "ann" / "poses"
+    clip = f"{home}/clips of mine/walk, slow.txt"
+    run = {
+        "layout": 3,
+        "config": {"job": {"clips": ["hop", clip, "lib/run"]}, "run": {"dir": str(home)}, "start": {"run": str(home)}},
+        "overrides": [f"run.dir={home}"],
+        "sources": {"clips": [{"clip": clip, "url": "https://a.org/b", "licence": "CC0 / MIT"}]},
+        "command": ["understudy", f"run.dir={home}"],
+        "machine": {"system": "Linux"},
+        "inputs": {f"clip {clip}": {"1/walk.txt": "00"}},
+    }  # fmt: skip
+    checkpoints = home / "checkpoints"
+    checkpoints.mkdir(parents=True)
+    (home / "run.json").write_text(json.dumps(run))
+    state = {"network": {"a": torch.arange(3.0)}, "progress": {"samples": 5}}
+    checkpoint.save(checkpoints / "00000001", state, run)
+    inputs, ends = PackInputs.gathering(Inputs()), (".json", ".safetensors")
+    names = ["run.json", *(f"checkpoints/00000001{end}" for end in ends)]
+    inputs.file(ASKED, lambda: [home / name for name in names])
+    files = inputs.carried()[ASKED]
+    assert not any(b"ann" in content for content in files.values())
+
+    said = json.loads(files["run.json"])
+    assert said["config"]["job"] == {"clips": ["hop", "walk, slow.txt", "lib/run"]}
+    assert said["sources"]["clips"] == [{**run["sources"]["clips"][0], "clip": "walk, slow.txt"}]
+    assert said["inputs"] == {"clip walk, slow.txt": {"1/walk.txt": "00"}}
+    pack = PackInputs(files=files_of_state(files_as_state({ASKED: files})))
+    kept = runs.open_run(pack.file(ASKED, list).parent)
+    assert kept.config["run"]["dir"] is None
+    found, meta = kept.newest()
+    torch.testing.assert_close(found["network"]["a"], torch.arange(3.0))
+    assert meta["sources"] == said["sources"]
+
+
+@pytest.mark.parametrize(
+    ("word", "bare"),
+    [
+        ("/home/me/a b.txt", "a b.txt"),
+        ("~/clips/a.txt", "a.txt"),
+        ("~ann/a.txt", "a.txt"),
+        ("../../me/a.txt", "a.txt"),
+        (r"C:\Users\me\a.txt", "a.txt"),
+        ("/home/me/run/", "run"),
+        ("clip /home/me/a.txt", "clip a.txt"),
+        ("motion.file='/home/me/a b.txt'", "motion.file='a b.txt'"),
+        ("job.clips=[hop,/home/me/a.txt,b/c]", "job.clips=[hop,a.txt,b/c]"),
+        *((same, same) for same in ("runs/walk", "https://a.org/b", "CC0 / MIT", "m/s", "../", "/", "a=b/c")),
+    ],
+)  # fmt: skip
+def test_paths_of_a_disk_are_names(word: str, bare: str) -> None:
+    assert words_of_no_folder({word: [word]}) == {bare: [bare]}
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{}", b'{"content": 1}', b"[" * 9999, b"\xff"])
+def test_what_is_no_card_is_carried_as_it_is(content: bytes) -> None:
+    assert card_of_no_folder("a/run.json", content) == content
 
 
 def test_a_file_of_a_strange_name_gets_a_plain_one(tmp_path: Path) -> None:

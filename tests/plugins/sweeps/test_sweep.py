@@ -662,6 +662,41 @@ def test_point_and_fidelity(tmp_path: Path, scripted: Any, monkeypatch: Any) -> 
     assert recalled == [trial]
 
 
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ((0, 24), r"budget\.samples from 0 to 24, and budget\.samples=0 .* greater than 0"),
+        ((24, 1e30), r"from 24 to 1e\+30, and budget\.samples=1\d+ .* at most"),
+    ],
+)
+def test_a_range_beyond_a_limit_is_refused_before_the_first_trial(
+    tmp_path: Path, scripted: Any, monkeypatch: Any, ends: tuple[float, float], said: str
+) -> None:
+    trial = Trial("a", point={"budget.samples": 24, "learner.rate": 1.0})
+    ranges = {"learner.rate": (0.5, 2.0), "budget.samples": ends}
+    monkeypatch.setattr(scripted, "trials", [trial])
+    monkeypatch.setattr(scripted, "ranges", ranges)
+    with pytest.raises(ConfigError, match=said):
+        script(tmp_path / "sweep")
+    assert not (tmp_path / "sweep").exists()
+    monkeypatch.setattr(scripted, "ranges", ranges | {"budget.samples": (8, 24)})
+    script(tmp_path / "sweep")
+    assert events(tmp_path / "sweep") == whole("a", 4, 8, 12)
+
+
+def test_an_end_that_others_make_impossible_is_no_limit(
+    tmp_path: Path, scripted: Any, monkeypatch: Any
+) -> None:
+    """More physics steps in a decision than there can be take two options, of which the search has both."""
+    monkeypatch.setattr(scripted, "trials", [Trial("a", point={"control.substeps": 4})])
+    both = {"control.substeps": (4, 10_000), "control.decision": (1, 10_000)}
+    monkeypatch.setattr(scripted, "ranges", both)
+    with pytest.raises(ConfigError, match="more than 100000 steps"):
+        sweep(tmp_path / "one", "control.substeps=10000", "control.decision=11")
+    script(tmp_path / "both")
+    assert [event for event, *_ in events(tmp_path / "both")][-1] == "finished"
+
+
 def test_a_fidelity_that_nothing_reads(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(scripted, "trials", [Trial("a", fidelity=0.25)])
     with pytest.raises(ConfigError, match="Nothing in this task reads `difficulty`"):

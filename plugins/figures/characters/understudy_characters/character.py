@@ -27,6 +27,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
 from understudy.task import Context
+from understudy_characters.angle_units import check_radians
 from understudy_characters.joint import Joint
 from understudy_motion.clip import Clip, Skeleton, angle_names, sample
 from understudy_motion.limits import MAX_JOINTS
@@ -45,13 +46,6 @@ _LARGEST = 100.0
 """m that a figure's joints are apart at most."""
 #: Of names that can only be those of a model's file, in lower case.
 _SUFFIXES = (".xml", ".mjcf", ".urdf")
-#: Angles of unknown unit are asked about where, as radians, they leave a hinge's range by so many rad; or where the lowest
-#: point of a figure that stands on the floor as degrees, so many m from it, rises and sinks by so many m, and so many
-#: times as much as that. So many frames are looked at.
-_OUT, _STANDS, _SWAYS, _STEADIER, _LOOKED_AT = 0.5, 0.1, 0.06, 5.0, 200
-#: They are radians where it rises and sinks by more m in degrees, and by less than half of that in radians; or where the root
-#: goes so many m or turns by so many rad, for which a few degrees of the hinges are not enough. Else both may be.
-_SHOWN, _GOES = 0.005, 0.3
 
 
 def load_character(named: str, registry: Registry) -> Character:
@@ -427,7 +421,7 @@ class Character:
         Raises
         ------
         FileError
-            the angles are not those of the character's hinges.
+            the angles are not those of the character's hinges, or may be in degrees as well as in radians.
         """
         names = angle_names(clip)
         if names is None:
@@ -446,62 +440,12 @@ class Character:
         turned = rotations.twist_angle(clip.rotations[:, 1:], axis).numpy()
         angles = np.unwrap(turned, axis=0)
         if clip.assumed:
-            self._check_radians(clip, qpos, addresses, angles)
+            check_radians(self.name, self.model, self.clearance, clip, qpos, addresses, angles)
         qpos[:, addresses] = torch.from_numpy(angles)
         about = {
             key: getattr(clip, key) for key in ("source", "licence", "sha256", "url", "attribution")
         }
         return self.clip(qpos, clip.times, name=clip.name, loop=clip.loop, **about)
-
-    def _check_radians(
-        self, clip: Clip, qpos: Tensor, addresses: Sequence[int], angles: np.ndarray
-    ) -> None:
-        """A FileError if `angles` (F, H), which nothing says to be in radians, fit the model better in degrees: by the ranges
-        of its hinges, or by how high its lowest point is."""
-        own, others = angles, np.radians(angles)
-        joint_of = {int(self.model.jnt_qposadr[j]): j for j in range(self.model.njnt)}
-        ids = [joint_of[address] for address in addresses]
-        least, most = self.model.jnt_range[ids].T
-        limited = self.model.jnt_limited[ids] != 0
-
-        def beyond(given: np.ndarray) -> np.ndarray:
-            """(H,) rad by which each hinge leaves its range."""
-            return np.where(limited, np.maximum(least - given, given - most).max(axis=0), 0.0)
-
-        wrong = f"Clip {clip.source} does not say the unit of its angles, and "
-        cure = (
-            "give motion.angles=degrees (--angles degrees), or motion.angles=radians if they are."
-        )
-        far = beyond(own)
-        if (worst := int(far.argmax())) >= 0 and far[worst] > _OUT > beyond(others).max():
-            at = own[np.abs(own[:, worst]).argmax(), worst]
-            raise FileError(
-                f"{wrong}as radians they turn {self.name}'s '{self.model.joint(ids[worst]).name}' to {at:.3g}, which may go from "
-                f"{least[worst]:.3g} to {most[worst]:.3g}, and as degrees all stay in their ranges: {cure}"
-            )
-        every = max(1, len(qpos) // _LOOKED_AT)
-        lowest = []
-        for given in (own, others):
-            few = qpos[::every].clone()
-            few[:, addresses] = torch.from_numpy(given[::every])
-            lowest.append(self.clearance(few).amin(dim=1).numpy())
-        sways = [float(np.percentile(low, 90) - np.percentile(low, 10)) for low in lowest]
-        stands = abs(float(np.median(lowest[1]))) < _STANDS
-        if stands and sways[0] > max(_SWAYS, _STEADIER * sways[1]):
-            raise FileError(
-                f"{wrong}as radians {self.name}'s lowest point rises and sinks by {sways[0]:.2g} m, as degrees by "
-                f"{sways[1]:.2g} m: {cure}"
-            )
-        place, turn = clip.root_position, clip.rotations[:, 0]
-        away = float((place.amax(dim=0) - place.amin(dim=0)).norm())
-        around = float(rotations.angle_between(turn, turn[:1].expand_as(turn)).max())
-        shown = sways[1] > _SHOWN and sways[0] < sways[1] / 2.0  # that they are radians
-        if not shown and max(away, around) < _GOES and beyond(others).max() <= _OUT:
-            warnings.warn(
-                f"{wrong}is read in radians, though degrees would fit {self.name} as well; motion.angles=radians (--angles "
-                "radians) says it is so, motion.angles=degrees that it is not.",
-                stacklevel=3,
-            )
 
     def clip(
         self, qpos: Tensor, times: Tensor, *, name: str, loop: bool = False, **about: Any

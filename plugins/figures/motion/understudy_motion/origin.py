@@ -14,7 +14,7 @@ from understudy_motion.limits import read_bytes
 if TYPE_CHECKING:
     from understudy_motion.clip import Clip
 
-__all__ = ["RECORD_SUFFIX", "terms_of"]
+__all__ = ["RECORD_SUFFIX", "terms_of", "without_folder"]
 
 RECORD_SUFFIX = ".provenance.json"
 LICENCE = "LICENSE"
@@ -40,6 +40,13 @@ def provenance(path: Path, content: bytes) -> dict[str, Any]:
         "url": record.get("url", ""),
         "attribution": record.get("attribution", ""),
     }
+
+
+def without_folder(source: str) -> str:
+    """The `source` of a clip as files say it that others get: of a path from the root of a disk, or from a home, its name."""
+    path = source.replace("\\", "/")
+    outright = path.startswith(("/", "~", "../")) or path[1:3] == ":/"
+    return (path.rstrip("/").rpartition("/")[2] or source) if outright else source
 
 
 def record_path(path: Path) -> Path:

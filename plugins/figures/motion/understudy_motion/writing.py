@@ -9,7 +9,7 @@ import os
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from understudy.errors import FileError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
+from understudy_motion.origin import without_folder
 from understudy_motion.reading import every
 
 __all__ = ["ClipWriter", "Shape", "Shown", "write_clip", "write_figures", "writer_of"]
@@ -101,7 +102,8 @@ def writer_of(path: Path, registry: Registry) -> ClipWriter:
 
 
 def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> None:
-    """Write motions to `path` by its ending, all or nothing; an existing file is replaced.
+    """Write motions to `path` by its ending, all or nothing; an existing file is replaced. What it says of where they are from
+    names no folder of whoever writes it.
 
     Raises
     ------
@@ -110,6 +112,10 @@ def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> N
         :meth:`ClipWriter.write_all`.
     """
     writer = writer_of(path, registry)
+    figures = [
+        replace(figure, clip=replace(figure.clip, source=without_folder(figure.clip.source)))
+        for figure in figures
+    ]
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
             temporary = Path(folder) / path.name

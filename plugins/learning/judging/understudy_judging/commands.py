@@ -276,7 +276,8 @@ def load(
         state, _ = run.newest(reporter.message)
         if run.metrics() and not state["progress"]["samples"]:
             raise RunError(
-                f"{path}: only the checkpoint before training is intact. Resume it first."
+                f"{path} has no checkpoint yet but that before training. Wait for one (checkpoint.minutes), or resume it if "
+                "nobody trains it."
             )
     training = Training(experiment, reporter)
     training.load_learned(state)

@@ -13,9 +13,12 @@ from understudy.running.environment import Environment
 from understudy.running.soundness import without_unsound
 from understudy.running.step import Step
 from understudy.task import Rollout
-from understudy_reinforcement.policy import Policy
+from understudy_reinforcement.policy import Policy, enough_memory
 
 __all__ = ["Collector"]
+
+#: Bytes from which on it is asked whether there is room for a rollout.
+_LARGE = 2**30
 
 
 class Collector:
@@ -38,6 +41,23 @@ class Collector:
         self._first = True  #: whether nothing was stepped yet in this process
         #: s: what the last rollout's steps took before they were steps, since kernels had to be compiled for them.
         self.compiling = 0.0
+
+    def check_room(self, steps: int) -> None:
+        """Refuse a rollout of so many `steps` that there is no memory for, before anything of a run is written.
+
+        Raises
+        ------
+        ConfigError
+            there is none.
+        """
+        environment = self.environment
+        kept = (*environment.observations.values(), environment.action)
+        each = sum(value[:1].nbytes for value in kept)
+        if (size := steps * environment.num_worlds * each) > _LARGE:
+            with enough_memory(
+                f"rollout (num_worlds={environment.num_worlds} times learner.rollout_steps={steps})"
+            ):
+                torch.empty(size, dtype=torch.uint8, device=environment.device)
 
     @torch.no_grad()
     def collect(self, steps: int) -> Rollout:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
+from understudy.errors import ConfigError
 from understudy.records.checkpoint import misshapen
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
@@ -56,6 +57,16 @@ class _Moment:
         return 1e-3 * earlier._event.elapsed_time(self._event)
 
 
+def _refuse_no_weight(experiment: Experiment) -> None:
+    """Refuse rewards that are the same whatever happens: a sum of nothing, or a product of powers of 0."""
+    weights = [term.extras["weight"] for term in experiment.many("reward.terms")]
+    if weights and not any(weights):
+        names = ", ".join(term.where for term in experiment.many("reward.terms"))
+        raise ConfigError(
+            f"Nothing can be learned from a reward whose terms all have weight=0 ({names}). Give one of them another weight."
+        )
+
+
 class Reinforcement(Job):
     """Collects rollouts, has the learner learn from them, adapts where episodes begin: the job of a run whose
     configuration names none."""
@@ -82,6 +93,7 @@ class Reinforcement(Job):
     def prepare(self) -> None:
         experiment = self.experiment
         success_of(experiment)  # refused now, not when the training comes to its first evaluation
+        _refuse_no_weight(experiment)
         self.built = built = build_environment(experiment, substeps=self.resolution.substeps)
         self.environment = built.environment
         promised.check_curriculum(self.environment.parts.curriculum)
@@ -97,6 +109,7 @@ class Reinforcement(Job):
         fields = [name for part in asking for name in part.rollout_fields]
         seed = experiment.root.seed
         self.collector = Collector(self.environment, self.policy, seed, fields, learner.next_fields)
+        self.collector.check_room(learner.rollout_steps)
         if start := experiment.sections.get("start"):
             self._started = take_over(start, self.policy, initial, curriculum, experiment.registry)
             self.environment.reset(seed)  # episodes begin as what was taken over says

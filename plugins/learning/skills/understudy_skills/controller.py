@@ -113,13 +113,16 @@ class Controller(nn.Module):
         experiment = skill.experiment
         control = experiment.root.control
         periods = max(1, round(1.0 / (control.frequency * context.control_dt))) if slower else 1
-        if abs(1.0 / control.frequency - periods * context.control_dt) > 1e-9 or (
-            control.decision != 1 and not any_rate
-        ):
+        if abs(1.0 / control.frequency - periods * context.control_dt) > 1e-9:
             raise ConfigError(
                 f"{source} decides {control.frequency / control.decision:g} times a second, and this "
                 f"task's control periods are {1.0 / context.control_dt:g} a second. Set "
                 f"control.frequency={control.frequency:g}, or train that run for this task's rate."
+            )
+        if control.decision != 1 and not any_rate:
+            raise ConfigError(
+                f"{source} decides in every {control.decision}. control period, and is asked in each one here. Train that "
+                "run with control.decision=1."
             )
         own = replace(
             context, sections=build_sections(experiment), inputs=experiment.inputs, _shared={}

@@ -6,6 +6,7 @@ import hashlib
 import os
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 
 from understudy.command.command import tell
 from understudy.errors import RunError
@@ -16,10 +17,15 @@ from understudy.running.training import Training
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy.setup.root import Root
-from understudy_skills.skill import open_skill, unpack
+from understudy_skills.skill import open_skill, others_named, unpack
 from understudy_training.watching import reporter
 
-__all__ = ["run_folder"]
+__all__ = ["MAKE_A_RUN", "run_folder"]
+
+#: What gives a pack the clip that it names, for commands that take no overrides.
+MAKE_A_RUN = (
+    "make a run of it with yours, `understudy play SKILL {} --unpack FOLDER`, and name that"
+)
 
 #: Where skills are unpacked, in the working folder.
 FOLDER = Path("runs") / "skills"
@@ -48,7 +54,9 @@ def run_folder(source: str, *, recorded: bool = False, registry: Registry | None
     folder = FOLDER / f"{source.removesuffix('.json').replace(os.sep, '-').strip('-.')}-{digest}"
     if not (folder / "run.json").is_file():
         try:
-            unpack(open_skill(source, registry=registry), folder)
+            skill = open_skill(source, registry=registry)
+            with others_named(skill, source, MAKE_A_RUN.replace("SKILL", quote(source))):
+                unpack(skill, folder)
         except RunError:
             if not (folder / "run.json").is_file():  # else another process was first
                 raise

@@ -20,6 +20,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, RunError
 from understudy.inputs import Inputs
 from understudy.records import checkpoint
+from understudy_skills.packing import card_of_no_folder
 
 if TYPE_CHECKING:
     from understudy_skills.skill import Skill
@@ -196,7 +197,8 @@ class PackInputs(Inputs):
             new.copy(Path(place))
             for asked in filter(_is_carried, sorted(self.asked)):
                 if self.had and asked in self.had.files:
-                    found[asked] = self.had.files[asked]
+                    had = self.had.files[asked]  # maybe of a version that wrote folders
+                    found[asked] = {n: card_of_no_folder(n, c) for n, c in had.items()}
                     continue
                 own = new if asked in new.kept else self
                 kept = list(own.kept.get(asked, ()))
@@ -206,7 +208,9 @@ class PackInputs(Inputs):
                         f"--pack: the files of {asked} are of names that no pack can have, too deep in folders or alike but for their "
                         "signs. Rename them, or pass on the run folder, which has a copy of them."
                     )
-                contents = ((own.folder / name).read_bytes() for name in kept)
+                contents = (
+                    card_of_no_folder(name, (own.folder / name).read_bytes()) for name in kept
+                )
                 found[asked] = dict(zip(plain, contents, strict=True))
         return found
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +16,9 @@ from torch import Tensor
 
 __all__ = [
     "BITS",
+    "card_of_no_folder",
     "is_left_over",
+    "is_of_a_disk",
     "names_within",
     "of_no_folder",
     "packed_tensor",
@@ -22,13 +26,76 @@ __all__ = [
     "renamed_in",
     "sources_of_no_folder",
     "unpacked",
+    "without_place",
     "words_in",
+    "words_of_no_folder",
 ]
 
 #: That a packed weight may have. With 32 nothing is rounded.
 BITS = (8, 16, 32)
 _INTEGERS = {8: torch.int8, 16: torch.int16}
 _SCALES = (torch.float32, torch.float64)
+
+
+#: How a path begins that leads through somebody's folders, and such a path within other words.
+_OF_A_DISK = r"(?:/|~[\w.-]*/|[A-Za-z]:[\\/])(?=[\w.~])"
+_WITHIN = re.compile(rf"(?<![\w./:~\\-]){_OF_A_DISK}[^,\]}}'\"=]*")
+#: What a card says of the process that wrote it, and no pack needs.
+_OF_THE_PROCESS = ("command", "machine")
+
+
+def is_of_a_disk(word: str) -> bool:
+    """Whether `word` is a path from the root of a disk, from a home, or out of the working folder."""
+    return re.match(rf"{_OF_A_DISK}|\.\.[\\/]\S", word) is not None
+
+
+def _bare(path: str) -> str:
+    return path.rstrip("\\/").replace("\\", "/").rpartition("/")[2]
+
+
+def words_of_no_folder(value: Any) -> Any:
+    """Nested plain data with names for paths through somebody's folders, be they all of a word, as ``/home/me/walk.bvh``, or
+    within it, as ``clip /home/me/walk.bvh``."""
+    if isinstance(value, Mapping):
+        return {words_of_no_folder(k): words_of_no_folder(part) for k, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [words_of_no_folder(part) for part in value]
+    if not isinstance(value, str):
+        return value
+    return _bare(value) if is_of_a_disk(value) else _WITHIN.sub(lambda m: _bare(m[0]), value)
+
+
+def card_of_no_folder(name: str, content: bytes) -> bytes:
+    """The file `name` of a run that a pack carries: of its card and of its checkpoint's what others can use, without the words
+    that made it; any other as it is."""
+    if not name.endswith(".json"):
+        return content
+    try:
+        document = json.loads(content)
+        if name.rpartition("/")[2] == "run.json" and "config" in document:
+            return json.dumps(_shared(document), indent=1).encode()
+        body = json.loads(document["content"])
+        body["meta"] = _shared(body["meta"])
+        text = json.dumps(body, allow_nan=False)  # sealed as a checkpoint is
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return json.dumps({"digest": digest, "content": text}).encode()
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return content  # which whoever reads it will refuse, if it is no such file
+
+
+def _shared(card: Mapping[str, Any]) -> dict[str, Any]:
+    kept = {key: value for key, value in card.items() if key not in _OF_THE_PROCESS}
+    if "overrides" in kept:
+        kept["overrides"] = []
+    kept = words_of_no_folder(kept)
+    if isinstance(config := kept.get("config"), dict):
+        kept["config"] = without_place(config)
+    return kept
+
+
+def without_place(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration that does not say in which folder its run was."""
+    return {**config, "run": {**(config.get("run") or {}), "dir": None}}
 
 
 def words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
@@ -71,9 +138,9 @@ def sources_of_no_folder(sources: Any) -> Any:
     if isinstance(sources, list):
         return [sources_of_no_folder(part) for part in sources]
     if not isinstance(sources, Mapping):
-        return sources
+        return words_of_no_folder(sources)
     return {
-        key: Path(value).name
+        words_of_no_folder(key): Path(value).name
         if key in ("source", "run") and isinstance(value, str)
         else sources_of_no_folder(value)
         for key, value in sources.items()

@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, RunError, suggestion
+from understudy.command.command import tell
+from understudy.errors import ConfigError, FileError, RunError, suggestion
 from understudy.folders import read, write_atomically
 from understudy.inputs import Inputs
+from understudy.options import at
 from understudy.records import checkpoint, runs
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment
@@ -38,6 +40,7 @@ from understudy_skills.pack_inputs import (
     files_of_state,
 )
 from understudy_skills.packing import (
+    is_of_a_disk,
     names_within,
     of_no_folder,
     packed_tensor,
@@ -45,7 +48,9 @@ from understudy_skills.packing import (
     renamed_in,
     sources_of_no_folder,
     unpacked,
+    without_place,
     words_in,
+    words_of_no_folder,
 )
 
 __all__ = [
@@ -53,6 +58,7 @@ __all__ = [
     "gathering",
     "names",
     "open_skill",
+    "others_named",
     "pack",
     "read_card",
     "refuse_of_others",
@@ -63,6 +69,8 @@ __all__ = [
 
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
+#: Options that name a clip or a model.
+_FILES_OF_OTHERS = ("motion.file", "motion.skeleton", "scene.character")
 #: What of a run acts inside another task.
 _ACTING = re.compile(r"(encoder|actuation|policy)\b")
 #: What of a run a policy that acts inside another task has no use for.
@@ -123,20 +131,22 @@ class Skill:
             card = {**known, "config": _less(card["config"], _NOT_OF_CONTROLLERS)}
         card["sources"] = sources_of_no_folder(card.get("sources"))
         # with what its training began is among its sources; what it is has no use for it
-        card["config"] = _less(card["config"], ("start",))
+        card["config"] = without_place(_less(card["config"], ("start",)))
         banks, policies, files = dict[str, Held](), dict[str, Skill](), dict[str, Any]()
         if isinstance(inputs, PackInputs):
             banks, policies, files = inputs.banks, inputs.policies, inputs.carried()
         paths = {asked: asked.partition(" ")[2] for asked in (*banks, *policies)}
         for _, word in words_in(card["config"]):
             paths |= {asked: word for asked in files if _asks_for(asked, word)}
-        names = names_within([*dict.fromkeys(paths.values())], card.get("overrides"))
+        others = [w for _, w in words_in(card["config"]) if is_of_a_disk(w)]
+        names = names_within([*dict.fromkeys([*paths.values(), *others])], card.get("overrides"))
         config = renamed(dict(card["config"]), names)
-        if names and card.get("overrides") is not None:
-            card["overrides"] = [renamed_in(word, names) for word in card["overrides"]]
+        if card.get("overrides") is not None:
+            card["overrides"] = words_of_no_folder(
+                [renamed_in(word, names) for word in card["overrides"]]
+            )
         if isinstance(licence := card.get("licence"), Mapping):
             card["licence"] = {**licence, "items": [of_no_folder(i) for i in licence["items"]]}
-        config["run"] = {**config.get("run", {}), "dir": None}
 
         def within(asked: str) -> str:
             path = paths.get(asked, "")
@@ -207,6 +217,9 @@ def open_skill(
         return _packed(path, path.stem, registry, without, overrides)
     if path.is_dir():
         return _of_run(path, overrides, registry, without)
+    card = path.with_name(f"{path.name.removesuffix('.safetensors')}.json") if path.name else path
+    if card.is_file():  # of a pack, which is two files
+        raise ConfigError(f"There is no skill '{source}'. Did you mean '{card}'?")
     raise ConfigError(
         f"There is no skill '{source}'.{suggestion(source, known)} The folder of a run will do, too."
     )
@@ -258,7 +271,8 @@ def _of_run(
     policy = state.get("policy")
     if not isinstance(policy, dict) or not all(isinstance(t, Tensor) for t in policy.values()):
         raise RunError(f"{path} is a run that learns no policy.")
-    samples = state["progress"]["samples"]
+    if not (samples := state["progress"]["samples"]) and run.metrics():
+        tell(f"{path} has no checkpoint yet but that before training: nothing is learned in it.")
     card = {
         "config": config,
         "overrides": [o for o in words if not _OF_THE_RUN.match(o)],
@@ -362,6 +376,23 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise RunError(f"{name} is no packed skill: its overrides are no list of words.")
     return words
+
+
+@contextlib.contextmanager
+def others_named(skill: Skill, source: str, cure: str) -> Iterator[None]:
+    """Inside, a clip or a model that is missing is said to be one of those that the pack `source` only names; `cure` says what
+    to do, with ``{}`` for the override that gives it."""
+    try:
+        yield
+    except FileError as error:
+        config = skill.card.get("config")
+        given = {key: at(config, key) for key in _FILES_OF_OTHERS}
+        named = [f"{key}=PATH" for key, name in given.items() if name and str(name) in str(error)]
+        if Path(source).is_dir() or not named:
+            raise
+        raise FileError(
+            f"{error} A pack names clips and models, and has no copies of them: {cure.format(named[0])}."
+        ) from error
 
 
 def gathering(skill: Skill) -> Skill:

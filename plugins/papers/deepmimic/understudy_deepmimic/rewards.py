@@ -106,6 +106,11 @@ class Imitation:
 
         def __post_init__(self) -> None:
             check_range(self, "pose", "velocity", "end_effectors", "com", least=0)
+            if self.pose == self.velocity == self.end_effectors == self.com == 0:
+                raise ValueError(
+                    "pose=0 is not possible with velocity=0, end_effectors=0 and com=0: the reward would be 0 whatever "
+                    "happens."
+                )
 
     def __init__(self, options: Options, context: Context) -> None:
         self._weights, self._velocity = options, Velocity(Velocity.Options(), context)

@@ -279,6 +279,10 @@ class StrategySearch(OuterLoop):
     def __init__(self, options: DiversityOptions) -> None:
         self.strategies, self.measures = Strategies(options), tuple(options.features)
 
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        return self.strategies.book.ranges
+
     @abstractmethod
     def place(self, number: int) -> Sequence[float]:
         """Where in the unit cube the trial of this `number` is, (d,)."""

@@ -55,6 +55,10 @@ class RandomFidelity(OuterLoop):
         self._reports: dict[str, Report] = {}  #: final ones
         self._stopped: set[str] = set()
 
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        return {name: (low, self._options.high[name]) for name, low in self._options.low.items()}
+
     def _point(self, number: int) -> dict[str, float]:
         """Depends on the seed and the trial's number alone."""
         low, high = self._options.low, self._options.high

@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from understudy.command.command import Command
+from understudy.errors import RunError
 from understudy_judging.commands import load
 
 #: In the run folder: the evaluation.
 FILE = "naturalness.json"
+_FIGURES = ("pose_distance", "jerk")
 
 
 class Naturalness(Command):
@@ -37,7 +39,7 @@ class Naturalness(Command):
             *(word for word in options.run if "=" in word),
             *options.overrides,
         ]
-        print("degrees to the nearest captured pose, a joint's mean; jerk of the links, m/s³")
+        head = "degrees to the nearest captured pose, a joint's mean; jerk of the links, m/s³\n"
         for path in (word for word in options.run if "=" not in word):
             training, run, _, _ = load(path, words, {})
             try:
@@ -45,14 +47,19 @@ class Naturalness(Command):
             finally:
                 training.close()
             result = found.as_json(training.progress.samples)
+            if not result["measures"].keys() >= {*_FIGURES}:
+                raise RunError(
+                    f"{path} is judged by figures of its own, as no character moves in it. Name runs of tasks of a character."
+                )
             run.write_json(FILE, result)
-            print(f"{_row(result)}  {path}", flush=True)
+            print(f"{head}{_row(result)}  {path}", flush=True)
+            head = ""
         return 0
 
 
 def _row(found: Mapping[str, Any]) -> str:
     """Of what is written into the file."""
-    figures = [found["measures"][name] for name in ("pose_distance", "jerk")]
+    figures = [found["measures"][name] for name in _FIGURES]
     texts = [
         "{:.1f} [{:.1f}, {:.1f}]".format(m["mean"], *m["mean_95"]) if m["mean_95"] else "none"
         for m in figures

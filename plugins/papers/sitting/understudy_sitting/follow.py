@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
+from hydra.core.override_parser.types import Quote, QuotedString
 from torch import Tensor
 
 from understudy.command.command import Command
@@ -17,6 +19,7 @@ from understudy.setup.composition import load_experiment
 from understudy_play.command import add_page_arguments, film, record, serve
 from understudy_play.player import World
 from understudy_report.video import length, video_file
+from understudy_skills.skill import open_skill
 
 WALK, LEFT, RIGHT = 0, 1, 2
 #: rad, of the target's azimuth: from the first on it turns in place, until the second is reached. The
@@ -26,6 +29,9 @@ _BEGIN_TO_TURN, _TURNED = math.radians(75.0), math.radians(30.0)
 _REACHED, _LEFT_BEHIND = 0.4, 0.8
 #: What comes with the package.
 _SKILLS = ("sitting/walk", "sitting/turn_left_mirrored", "sitting/turn_right_learned")
+_TAKES = "Give first what experiment=sitting/walk learned, then maybe what sitting/turn_left and sitting/turn_right did."
+#: Where a sentence begins that says what to set.
+_ADVICE = re.compile(r"(?<=\.) (?=(?:Set|It would|Train) )")
 #: Of a video, in s.
 _SECONDS = 24.0
 #: m, in the world: where a video sends it, one after the other.
@@ -48,9 +54,18 @@ class Follower(World):
 
     def __init__(self, runs: Sequence[str], seed: int = 0) -> None:
         _count(runs)
-        named = ",".join(f"'{run}'" for run in runs)
+        _check_walk(runs[0])
+        named = ",".join(QuotedString(run, Quote.single).with_quotes() for run in runs)
         experiment = load_experiment(["task=sitting/follow", f"actuation.runs=[{named}]"])
-        super().__init__(f"walking to a target, {runs[0]}", experiment, seed)
+        for run in runs[1:]:
+            open_skill(
+                run, without=("simulator",)
+            )  # else what it says of one that is none were advice, too
+        try:
+            super().__init__(f"walking to a target, {runs[0]}", experiment, seed)
+        except ConfigError as error:  # it tells what to set, and nothing can be set here
+            why = _ADVICE.split(str(error))[0].rstrip(".")
+            raise ConfigError(f"{why}. {_TAKES}") from error
         self._turns, self._switch, self._there = len(runs) == 3, WALK, False
         self._fell = 0
         self.target = _ROUND[0]
@@ -126,6 +141,15 @@ class Follow(Command):
         film(world, tracks, options.video)
         print(f"{options.video}: {seconds:g} s, {world.fallen}")
         return 0
+
+
+def _check_walk(run: str) -> None:
+    """Refuse as the walk what does not look where it is to go."""
+    encoders = open_skill(run, without=("simulator",)).experiment.many("encoder")
+    if not any(getattr(encoder.options, "goal", False) for encoder in encoders):
+        raise ConfigError(
+            f"{run} does not see where it is to go, so it cannot be the walk. {_TAKES}"
+        )
 
 
 def _count(runs: Sequence[str]) -> None:

@@ -11,6 +11,7 @@ import hashlib
 import os
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -79,7 +80,18 @@ def spec_of(model: Mjcf) -> mujoco.MjSpec:
     ValueError
         it refuses it.
     """
-    spec = _parsed(model.text, dict(model.assets), [])
+    _check_attached(model.text, model.assets, {})
+    # Models that it attaches are among its assets. Else MuJoCo would open files of their names.
+    models = {name: content for name, content in model.assets.items() if name.endswith(".xml")}
+    try:
+        spec = mujoco.MjSpec.from_string(model.text, include=models, assets=dict(model.assets))
+    except ValueError as error:
+        if found := re.search(r"could not find body '(.*)' in model asset '(.*)'", str(error)):
+            body, other = found.groups()
+            raise ValueError(
+                f"the model '{other}' that it attaches has no body '{body}'."
+            ) from error
+        raise
     spec.nconmax = spec.njmax = spec.nstack = -1
     spec.memory = max(spec.memory, _MEMORY) if spec.memory >= 0 else -1
     if model.urdf:
@@ -89,51 +101,28 @@ def spec_of(model: Mjcf) -> mujoco.MjSpec:
     return spec
 
 
-def _parsed(text: str, assets: dict[str, bytes], attached: list[str]) -> mujoco.MjSpec:
-    """The model `text`, to which the models among its `assets` are attached that it names: MuJoCo would open their files.
-    All that were `attached` so far are counted."""
+def _check_attached(text: str, assets: Mapping[str, bytes], known: dict[str, int]) -> int:
+    """How many models the model `text` attaches in all, `known` by the name of those among its `assets` that were counted.
+    A few files of a few lines can ask for more than any memory holds."""
     if "<attach" not in text:
-        return mujoco.MjSpec.from_string(_without_models(text), assets=assets)
+        return 0
     root = ElementTree.fromstring(text)
     files = {model.get("name"): model.get("file", "") for model in root.iter("model")}
-    asked: dict[str, dict[str, str]] = {}
-    for parent in root.iter():
-        for child in [c for c in parent if c.tag == "attach"]:
-            if any(child in replicate.iter() for replicate in root.iter("replicate")):
-                raise ValueError("it attaches models within <replicate>, which is not read here.")
-            name = f"attach:{len(asked)}"
-            asked[name] = dict(child.attrib)
-            child.tag, child.attrib = "frame", {"name": name}
-    spec = mujoco.MjSpec.from_string(
-        _without_models(ElementTree.tostring(root, encoding="unicode")), assets=assets
-    )
-    for name, given in asked.items():
-        model = given.get("model", "")
-        if model not in files:
+
+    def count(element: ElementTree.Element, times: int) -> int:
+        if element.tag == "replicate" and (word := element.get("count", "")).strip().isdecimal():
+            times *= int(word)
+        if element.tag != "attach":
+            return sum(count(child, times) for child in element)
+        if (model := element.get("model", "")) not in files:
             raise ValueError(f"it attaches the model '{model}', which it does not name.")
-        attached.append(model)
-        if len(attached) > _MOST_ATTACHED:
-            raise ValueError(f"it attaches more than {_MOST_ATTACHED} models in all.")
-        other = _parsed(assets[files[model]].decode(), assets, attached)
-        frame, prefix = spec.frame(name), given.get("prefix", "")
-        if not (body := given.get("body", "")):
-            spec.attach(other, prefix=prefix, frame=frame)
-            continue
-        if (part := other.body(body)) is None:
-            raise ValueError(f"the model '{model}' that it attaches has no body '{body}'.")
-        frame.attach_body(part, prefix, "")
-    return spec
+        if (name := files[model]) not in known:
+            known[name] = _check_attached(assets[name].decode(), assets, known)
+        return times * (1 + known[name])
 
-
-def _without_models(text: str) -> str:
-    """`text` without the elements that name models, whose files MuJoCo would open."""
-    if "<model" not in text:
-        return text
-    root = ElementTree.fromstring(text)
-    for parent in root.iter():
-        for child in [c for c in parent if c.tag == "model"]:
-            parent.remove(child)
-    return ElementTree.tostring(root, encoding="unicode")
+    if (found := count(root, 1)) > _MOST_ATTACHED:
+        raise ValueError(f"it attaches more than {_MOST_ATTACHED} models in all.")
+    return found
 
 
 def try_out(path: Path, root: Path, model: Mjcf) -> None:

@@ -87,6 +87,11 @@ class Book:
                 "one value of it. Leave it out of them, or take another fidelity."
             )
 
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """By option that a trial's point names: the least and the greatest value."""
+        return self.space.ranges | (self.fidelity.ranges if self.fidelity is not None else {})
+
     # ------------------------------------------------------------------ asked
 
     def ask(

@@ -49,6 +49,13 @@ class Fidelity:
         value = self.low + (self.high - self.low) * max(z, 0.0)
         return round(value) if self.integer else float(f"{value:.6g}")
 
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """The least and the greatest value of the option, by its key; nothing for the difficulty."""
+        return (
+            {} if self.option == DIFFICULTY else {self.option: (self.value(0.0), self.value(1.0))}
+        )
+
     def place(self, z: float) -> tuple[dict[str, float], float | None]:
         """What a trial at `z` has in its point besides the space's options, and its difficulty."""
         value = self.value(z)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from understudy_bayes.book import Book
@@ -17,6 +18,10 @@ class BookedSearch(OuterLoop):
     extendable = ("trials", "budget")
     maximises = True
     _book: Book
+
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        return self._book.ranges
 
     @abstractmethod
     def choose(self, number: int) -> Trial | None:

@@ -105,6 +105,10 @@ class SideBySide(OuterLoop):
         #: By job: the trials in the search of its candidates, in the order in which they were asked.
         self._jobs: dict[str, dict[str, str]] = {}
 
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        return {path.replace(CANDIDATE, "c0"): ends for path, ends in self._search.ranges.items()}
+
     def _next(self) -> dict[str, str]:
         """By candidate of the next job: its trial in the search."""
         asked = sum(map(len, self._jobs.values()))

@@ -86,6 +86,11 @@ class Space:
     def __len__(self) -> int:
         return len(self._parameters)
 
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """By option, the least and the greatest value of its range, as the configuration is given them."""
+        return {name: (p.value(0.0), p.value(1.0)) for name, p in self._parameters.items()}
+
     def point(self, u: Sequence[float]) -> dict[str, float]:
         """The point at `u` (d,) of the unit cube, every value one that the configuration accepts."""
         pairs = zip(self._parameters.items(), u, strict=True)

@@ -63,6 +63,12 @@ class OuterLoop(ABC):
     #: Whether as much of it takes as long again, so that the time left can be told.
     alike: bool = True
 
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        """By option of the configuration that it chooses values of, the least and the greatest: looked at before the first
+        trial."""
+        return {}
+
     @abstractmethod
     def ask(self, number: int) -> Trial | None:
         """The trial of this `number` (0, 1, …), or None while there is nothing to ask for; once all reports were told, None is

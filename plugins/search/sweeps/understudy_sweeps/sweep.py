@@ -43,6 +43,11 @@ __all__ = ["sweep"]
 #: Overrides that are the sweep's own, not its trials'.
 _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
 
+#: Overrides that mean an option with dots in its name, and stand for nested ones.
+_DOTTED = re.compile(
+    r"\+*outer_loop\.(parameters|low|high)\.(\w+\.[\w.]*?\w)(?:\.(?:low|high|scale|integer))?="
+)
+
 
 def sweep(overrides: Sequence[str]) -> int:
     """Run the sweep that `overrides` describe; prints a table, its page and the sweep's folder.
@@ -71,7 +76,9 @@ def sweep(overrides: Sequence[str]) -> int:
     given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
-    known, devices = _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop)
+    first = loop.plan or [chosen.build(root.seed).ask(0)]
+    _check_ranges(loop.ranges, first[0], work)
+    known, devices = _check(first, work, loop)
     gpu = next((device for device in sorted(devices) if device.startswith("cuda")), root.device)
     work = dataclasses.replace(work, device=gpu)  # which a variant alone may ask for
     gpus = at(experiment.effective(), "executor.gpus")
@@ -238,6 +245,12 @@ def _composed(overrides: Sequence[str]) -> Experiment:
     try:
         return load_experiment(overrides, installed())
     except ConfigError as error:
+        dotted = (_DOTTED.match(override) for override in overrides)
+        if (found := next(filter(None, dotted), None)) and str(error).startswith("outer_loop."):
+            group, name = found.groups()
+            raise ConfigError(
+                f"{error} A name that has dots itself is given in a mapping, as 'outer_loop.{group}={{{name}: …}}'."
+            ) from error
         loops = [o for o in overrides if o.startswith(("search=", "ablation="))]
         other = [o for o in overrides if o.startswith("experiment=")]
         if not loops or not other:
@@ -288,6 +301,45 @@ def _check(
                     f"{suggestion(name, known)}"
                 )
     return set().union(*found) if all(found) else set(), devices
+
+
+def _check_ranges(
+    ranges: Mapping[str, tuple[float, float]], trial: Trial | None, work: Work
+) -> None:
+    """Refuse a search that goes beyond what an option can be: its trials there would fail one by one, and count as
+    what the search found. An end that cannot be only together with values of the others is no such thing."""
+    if trial is None:
+        return
+    trial = dataclasses.replace(trial, start=None)  # what it begins with may not be there yet
+    ends = [(path, end) for path, both in ranges.items() for end in both]
+    if not any(
+        _refused({path: both[i] for path, both in ranges.items()}, trial, work) for i in (0, 1)
+    ):
+        return
+    for path, end in ends:
+        said = _refused({path: end}, trial, work) or ""
+        named = [
+            other
+            for other in ranges
+            if re.search(rf"(?<![\w.]){re.escape(other)}(?!\w|\.\w)", said)
+        ]
+        if named == [path]:
+            low, high = ranges[path]
+            cure = "" if said.endswith("leave it out.") else " Give it another range."
+            raise ConfigError(
+                f"This search takes {path} from {low:g} to {high:g}, and {said}{cure}"
+            )
+
+
+def _refused(point: Mapping[str, float], trial: Trial, work: Work) -> str | None:
+    """Why the `trial` cannot be composed with these values in its point, or None if it can be."""
+    try:
+        load_experiment(
+            overrides_of(dataclasses.replace(trial, point={**trial.point, **point}), work)
+        )
+    except ConfigError as error:
+        return str(error)
+    return None
 
 
 def _check_objective(experiment: Experiment) -> None:

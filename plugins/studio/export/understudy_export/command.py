@@ -187,10 +187,13 @@ def _check_format(destination: Path, registry: Registry) -> None:
 def _policy(options: argparse.Namespace) -> int:
     _refuse_options(options, "is a policy")
     from understudy_export.policy import write_policy
-    from understudy_skills.skill import open_skill
+    from understudy_skills.folder import MAKE_A_RUN
+    from understudy_skills.skill import open_skill, others_named
 
     skill = open_skill(options.source)
-    for line in write_policy(skill, options.destination, answer(open_made(options.source))):
+    with others_named(skill, options.source, MAKE_A_RUN.replace("SKILL", options.source)):
+        lines = write_policy(skill, options.destination, answer(open_made(options.source)))
+    for line in lines:
         print(line)
     return 0
 

@@ -42,6 +42,7 @@ from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.servos import lags
 from understudy_export.command import REFERENCE_TABLE
 from understudy_motion.clip import cycle_transform
+from understudy_motion.origin import without_folder
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
 from understudy_reinforcement.policy import Policy, build_policy
@@ -172,6 +173,9 @@ def write_model(
                 f"{reason[0] if reason else type(error).__name__}"
             ) from error
         model = onnx.load(str(file))
+    for part in (model.graph, *model.functions):  # where in whose files its code is
+        for held in (*part.node, part):
+            del held.metadata_props[:]
     model.producer_name, model.producer_version = "understudy", __version__
     onnx.helper.set_model_props(model, dict(facts))
     onnx.checker.check_model(model)
@@ -294,7 +298,7 @@ def metadata(skill: Skill, built: Built, acting: Acting) -> dict[str, str]:
         }
     motion = built.context.sections.get("motion")
     if isinstance(motion, Motion):
-        found["motion"] = motion.provenance()
+        found["motion"] = {**motion.provenance(), "source": without_folder(motion.clip.source)}
     return {key: json.dumps(value) for key, value in found.items()}
 
 

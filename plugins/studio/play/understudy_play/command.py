@@ -32,6 +32,7 @@ from understudy_skills.skill import (
     gathering,
     names,
     open_skill,
+    others_named,
     pack,
     read_card,
     refuse_of_others,
@@ -126,6 +127,10 @@ class Play(Command):
         if options.pack is options.unpack is None:
             refuse_of_trainings(options.overrides, "what is played")
         skill = open_skill(options.skill, options.overrides)
+        with others_named(skill, options.skill, "give yours, {}"):
+            return self._shown(skill, options)
+
+    def _shown(self, skill: Skill, options: argparse.Namespace) -> int:
         if options.pack is not None:
             skill = gathering(skill)
             licence = _licence(skill, options.skill)
