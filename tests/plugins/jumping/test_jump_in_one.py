@@ -27,6 +27,8 @@ TINY = (
     *SMALL, "num_worlds=4", "learner.rollout_steps=8", "budget.samples=32", "evaluation.episodes=4",
     "evaluation.final_episodes=4", "run.video_seconds=0",
 )  # fmt: skip
+#: As many as a pack is judged on.
+AT_ONCE = ("evaluation.episodes=32", "evaluation.final_episodes=32")
 #: Of a generated run, shortly before its take-off.
 CLIP = ("motion.name=run", "motion.file=null", "fields.arrival.at=2.0")
 
@@ -38,7 +40,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     begin = ("initial_states.begin=1.7", "initial_states.end=1.8")
     run_up = ("task=jumping/run_up", *CLIP, *TINY, "control.substeps=10", *begin)
     assert main(["train", *run_up, f"run.dir={place / 'run_up'}"]) == 0
-    jump = ("task=jumping/high", *TINY, "control.substeps=5")
+    jump = ("task=jumping/high", *TINY, "control.substeps=5", *AT_ONCE)
     assert main(["train", *jump, f"run.dir={place / 'jump'}"]) == 0
     harvest = (
         "job=harvest",
@@ -59,8 +61,7 @@ def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
 @pytest.fixture(scope="module")
 def played(runs: Path) -> Path:
     """The run folder of both in one episode."""
-    few = ("evaluation.episodes=2", "evaluation.final_episodes=2", "run.video_seconds=0")
-    assert main(["train", *words(runs), *few, f"run.dir={runs / 'whole'}"]) == 0
+    assert main(["train", *words(runs), *AT_ONCE, "run.video_seconds=0", f"run.dir={runs / 'whole'}"]) == 0
     return runs / "whole"
 
 
@@ -85,7 +86,7 @@ def test_a_pack_of_both_plays_both(
         items = json.loads(capsys.readouterr().out)["items"]
         found.append({item["what"]: item["licence"] for item in items})
     assert found[0] == found[1]
-    assert main(["evaluate", str(file), "half_step=false", "episodes=2"]) == 0
+    assert main(["evaluate", str(file), "half_step=false", "episodes=32"]) == 0
     (made,) = (tmp_path / "runs" / "skills").iterdir()
     judged = [json.loads(next(p.glob("evaluation*.json")).read_text()) for p in (played, made)]
     means = [{name: m["mean"] for name, m in one["measures"].items()} for one in judged]

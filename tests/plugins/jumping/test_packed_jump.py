@@ -21,7 +21,7 @@ from understudy_skills.skill import open_skill
 
 TINY = (
     "task=jumping/high", *SMALL, "num_worlds=4", "control.substeps=5", "learner.rollout_steps=8",
-    "budget.samples=32", "evaluation.episodes=4", "evaluation.final_episodes=4", "run.video_seconds=0",
+    "budget.samples=32", "evaluation.episodes=32", "evaluation.final_episodes=32", "run.video_seconds=0",
 )  # fmt: skip
 
 
