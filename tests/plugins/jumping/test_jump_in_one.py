@@ -61,7 +61,10 @@ def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
 @pytest.fixture(scope="module")
 def played(runs: Path) -> Path:
     """The run folder of both in one episode."""
-    assert main(["train", *words(runs), *AT_ONCE, "run.video_seconds=0", f"run.dir={runs / 'whole'}"]) == 0
+    assert (
+        main(["train", *words(runs), *AT_ONCE, "run.video_seconds=0", f"run.dir={runs / 'whole'}"])
+        == 0
+    )
     return runs / "whole"
 
 
