@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from miniatures import AT_ONCE
 from worlds import SMALL
 
 from understudy.command.cli import main
@@ -27,8 +28,6 @@ TINY = (
     *SMALL, "num_worlds=4", "learner.rollout_steps=8", "budget.samples=32", "evaluation.episodes=4",
     "evaluation.final_episodes=4", "run.video_seconds=0",
 )  # fmt: skip
-#: As many as a pack is judged on.
-AT_ONCE = ("evaluation.episodes=32", "evaluation.final_episodes=32")
 #: Of a generated run, shortly before its take-off.
 CLIP = ("motion.name=run", "motion.file=null", "fields.arrival.at=2.0")
 
