@@ -111,7 +111,9 @@ class Track(InitialStates):
                 )
         for one in _noisy(pose, noise) if noise else ():
             depth = depth_in(person, one)
-            deepest = max(float(depth(settled + start, near=0.0).max()) for start in self._starts(_FEW))
+            deepest = max(
+                float(depth(settled + start, near=0.0).max()) for start in self._starts(_FEW)
+            )
             if deepest > _DEEP:
                 raise ConfigError(
                     f"initial_states: with a noise of {noise:g} rad the person begins {100 * deepest:.0f} cm inside the "
