@@ -29,8 +29,8 @@ LONG = ("faults",)
 PLUGIN_GROUPS = 2
 #: Kinds of parts for libraries that a test does without: they are imported where they are first needed.
 WITHOUT = ("executor", "outer_loop", "sweep_page")
-#: What takes a part of a second or more to import, and several groups need; the parts that use it are not imported.
-LIBRARIES = ("botorch.fit", "mujoco_warp", "ribs.archives", "ribs.emitters")
+#: What takes a second to import, and several groups need and no test does without; the parts that use it are not imported.
+LIBRARIES = ("mujoco_warp", "ribs.archives", "ribs.emitters")
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
