@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import understudy_mujoco  # noqa: F401 # isort: skip - it chooses what draws before mujoco is imported
 import coarse_films
+import known_entries
 import lazy_choices
 import mujoco
 import pytest
@@ -31,6 +32,7 @@ pytest.MonkeyPatch().setattr(
 
 mujoco.Renderer.__init__ = coarse_films.coarse
 lazy_choices.use()
+known_entries.use()
 
 gc.disable()  # of the million objects that imports make hardly one goes
 

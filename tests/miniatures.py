@@ -23,6 +23,9 @@ QUICK = (
     "checkpoint.minutes=0",
 )
 
+#: So that a pack is judged on all its episodes at once.
+AT_ONCE = ("evaluation.episodes=32", "evaluation.final_episodes=32")
+
 
 def train(*overrides: str) -> None:
     assert main(["train", *overrides]) == 0

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import importlib
 import os
 import resource
 import runpy
@@ -28,6 +29,8 @@ LONG = ("faults",)
 PLUGIN_GROUPS = 2
 #: Kinds of parts for libraries that a test does without: they are imported where they are first needed.
 WITHOUT = ("executor", "outer_loop", "sweep_page")
+#: What takes a second to import, and several groups need and no test does without; the parts that use it are not imported.
+LIBRARIES = ("mujoco_warp", "ribs.archives", "ribs.emitters")
 _PR_SET_CHILD_SUBREAPER = 36  #: of <linux/prctl.h>
 
 
@@ -91,6 +94,9 @@ def prepare() -> None:
             continue
         with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
             _ = component.factory
+    for library in LIBRARIES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(library)
     # hypothesis looks through all of Unicode and all modules, once it draws texts and many numbers
     drawing = given(strategies.text(), strategies.lists(strategies.integers(), min_size=200))
     settings(max_examples=2, database=None, derandomize=True)(drawing(lambda text, numbers: None))()

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import known_entries
 import pytest
 
 pytest.importorskip("hatchling", reason="building the distribution needs hatchling (dev extra)")
@@ -27,6 +28,21 @@ def test_what_is_installed_is_what_stands_in_the_tree() -> None:
     installed = {e.name: e.value for e in entries if e.dist and e.dist.name == "understudy"}
     assert installed == {name: f"understudy_{name}" for name in bundled(ROOT)}
     assert len(installed) > 30
+
+
+def test_what_tests_find_is_what_python_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Entry points are kept for a path of this tree and its environment alone."""
+    assert metadata.entry_points is known_entries.found
+    ours = metadata.entry_points(group="understudy")
+    assert set(ours) == set(known_entries.real(group="understudy"))
+    info = tmp_path / "stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: stranger\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[understudy]\nodd = odd_plugin\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert {e.name for e in metadata.entry_points(group="understudy")} == {*ours.names, "odd"}
 
 
 def test_no_file_names_the_plugins_again() -> None:

@@ -11,6 +11,7 @@ import gc
 import importlib
 
 import coarse_films
+import known_entries
 import lazy_choices
 import mujoco
 import torch
@@ -29,6 +30,7 @@ LATE = (
 gc.disable()  # of what imports make hardly anything goes
 torch.set_num_threads(1)
 lazy_choices.use()
+known_entries.use()
 for name in LATE:
     importlib.import_module(name)
 for component in installed().registry.components.values():

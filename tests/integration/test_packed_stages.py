@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from miniatures import QUICK, train
+from miniatures import AT_ONCE, QUICK, train
 
 from understudy.command.cli import main
 from understudy.errors import RunError
@@ -33,7 +33,7 @@ def run(built_on: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("stages")
     shutil.copytree(built_on / "sleeve", place / "first")
     assert main(["play", str(place / "first"), "--pack", str(place / "second.json")]) == 0
-    few = (*QUICK[:2], "run.video_seconds=0")
+    few = (*AT_ONCE, "run.video_seconds=0")
     stages = words(place / "first", place / "second.json")
     train("experiment=miniature/in_sequence", stages, *few, f"run.dir={place / 'whole'}")
     for file in (place / "second.json", place / "second.safetensors"):
@@ -126,7 +126,13 @@ def test_controllers_of_a_hierarchy_come_along(
     for name in ("go", "stop"):
         shutil.copytree(built_on / name, tmp_path / "makers" / name)
     runs = f"actuation.runs=[{tmp_path / 'makers' / 'go'},{tmp_path / 'makers' / 'stop'}]"
-    small = ("budget.samples=256", *QUICK, "run.video_seconds=0", f"run.dir={tmp_path / 'run'}")
+    small = (
+        "budget.samples=256",
+        *QUICK,
+        *AT_ONCE,
+        "run.video_seconds=0",
+        f"run.dir={tmp_path / 'run'}",
+    )
     train("experiment=miniature/sitting", runs, *small)
     words = ["--bits", "8", "--pack", str(tmp_path / "own" / "it.json")]
     assert main(["play", str(tmp_path / "run"), *words]) == 0

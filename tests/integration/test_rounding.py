@@ -28,7 +28,13 @@ NEAR = "initial_states.spread=[0.0,0.0]"
 @pytest.fixture(scope="module")
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("rounded") / "run"
-    words = ("experiment=miniature/go", *FAR, *miniatures.QUICK, "evaluation.seconds=2.4")
+    words = (
+        "experiment=miniature/go",
+        *FAR,
+        *miniatures.QUICK,
+        *miniatures.AT_ONCE,
+        "evaluation.seconds=2.4",
+    )
     miniatures.train(*words, "budget.samples=1024", "run.video_seconds=0", f"run.dir={run}")
     return run
 

@@ -22,7 +22,7 @@ def test_a_grip_of_ones_own_goes_along(tmp_path: Path, monkeypatch: pytest.Monke
     own.parent.mkdir()
     own.write_bytes(GRIP.read_bytes())
     words = [
-        "num_worlds=2", "learner.minibatches=2", "evaluation.final_episodes=2", "evaluation.seconds=0.1",
+        "num_worlds=2", "learner.minibatches=2", "evaluation.final_episodes=32", "evaluation.seconds=0.1",
         "run.video_seconds=0",
     ]  # fmt: skip
     assert main(["train", "experiment=chopsticks/open_close_small", "budget.samples=64",

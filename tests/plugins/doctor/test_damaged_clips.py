@@ -262,14 +262,14 @@ def test_the_shortest_clips(frames: int, loop: bool, walk: Clip, humanoid: Chara
 
 @pytest.mark.parametrize("loop", [False, True])
 def test_noise_is_examined_and_repaired_without_an_error(
-    loop: bool, walks: Clip, humanoid: Character
+    loop: bool, walk: Clip, humanoid: Character
 ) -> None:
     rng = torch.Generator().manual_seed(0)
-    anyhow = torch.randn(walks.rotations.shape, generator=rng, dtype=torch.float64)
+    anyhow = torch.randn(walk.rotations.shape, generator=rng, dtype=torch.float64)
     noise = replace(
-        walks,
+        walk,
         rotations=torch.nn.functional.normalize(anyhow, dim=-1),
-        root_position=torch.randn(walks.root_position.shape, generator=rng, dtype=torch.float64),
+        root_position=torch.randn(walk.root_position.shape, generator=rng, dtype=torch.float64),
         loop=loop,
     )
     examined = examine(noise, humanoid)

@@ -24,7 +24,7 @@ from understudy_dressing.sleeve import SleeveScene
 from understudy_dressing.state import passes
 
 
-def neutral_depth() -> Callable[[np.ndarray], np.ndarray]:
+def neutral_depth() -> Callable[..., np.ndarray]:
     person = PersonScene(PersonScene.Options())
     return depth_in(person, neutral_pose(person).numpy())
 
@@ -38,6 +38,20 @@ def test_depth_in_the_neutral_person() -> None:
     assert found[1] == pytest.approx(0.0575 - 0.1, abs=1e-3)
     assert found[2] < -0.8
     assert found[3] == pytest.approx(0.10), "the middle of the head's upper sphere"
+
+
+@pytest.mark.parametrize("near", [0.0, 0.02])
+def test_who_asks_for_what_is_near_hears_the_same_of_it(near: float) -> None:
+    """And of nothing else: how deep a point is, the person being there or not, decides what is drawn over and refused."""
+    depth = neutral_depth()
+    points = np.random.default_rng(1).uniform([-0.2, -0.5, -0.6], [0.3, 0.5, 0.5], (20_000, 3))
+    every, some = depth(points), depth(points, near=near)
+    close = every > -near
+    assert 500 < close.sum() < 15_000
+    np.testing.assert_allclose(some[close], every[close], rtol=0, atol=1e-15)
+    assert (some[~close] <= every[~close] + 1e-15).all()
+    assert np.isneginf(some).sum() > 2_000
+    assert np.isneginf(depth(points + 5.0, near=near)).all()
 
 
 @pytest.mark.parametrize(

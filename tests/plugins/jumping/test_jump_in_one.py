@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from miniatures import AT_ONCE
 from worlds import SMALL
 
 from understudy.command.cli import main
@@ -38,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     begin = ("initial_states.begin=1.7", "initial_states.end=1.8")
     run_up = ("task=jumping/run_up", *CLIP, *TINY, "control.substeps=10", *begin)
     assert main(["train", *run_up, f"run.dir={place / 'run_up'}"]) == 0
-    jump = ("task=jumping/high", *TINY, "control.substeps=5")
+    jump = ("task=jumping/high", *TINY, "control.substeps=5", *AT_ONCE)
     assert main(["train", *jump, f"run.dir={place / 'jump'}"]) == 0
     harvest = (
         "job=harvest",
@@ -59,8 +60,10 @@ def test_a_bank_says_from_what_clip_it_comes(runs: Path) -> None:
 @pytest.fixture(scope="module")
 def played(runs: Path) -> Path:
     """The run folder of both in one episode."""
-    few = ("evaluation.episodes=2", "evaluation.final_episodes=2", "run.video_seconds=0")
-    assert main(["train", *words(runs), *few, f"run.dir={runs / 'whole'}"]) == 0
+    assert (
+        main(["train", *words(runs), *AT_ONCE, "run.video_seconds=0", f"run.dir={runs / 'whole'}"])
+        == 0
+    )
     return runs / "whole"
 
 
@@ -85,7 +88,7 @@ def test_a_pack_of_both_plays_both(
         items = json.loads(capsys.readouterr().out)["items"]
         found.append({item["what"]: item["licence"] for item in items})
     assert found[0] == found[1]
-    assert main(["evaluate", str(file), "half_step=false", "episodes=2"]) == 0
+    assert main(["evaluate", str(file), "half_step=false", "episodes=32"]) == 0
     (made,) = (tmp_path / "runs" / "skills").iterdir()
     judged = [json.loads(next(p.glob("evaluation*.json")).read_text()) for p in (played, made)]
     means = [{name: m["mean"] for name, m in one["measures"].items()} for one in judged]

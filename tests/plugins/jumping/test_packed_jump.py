@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from miniatures import AT_ONCE
 from worlds import SMALL
 
 from understudy.command.cli import main
@@ -21,7 +22,7 @@ from understudy_skills.skill import open_skill
 
 TINY = (
     "task=jumping/high", *SMALL, "num_worlds=4", "control.substeps=5", "learner.rollout_steps=8",
-    "budget.samples=32", "evaluation.episodes=4", "evaluation.final_episodes=4", "run.video_seconds=0",
+    "budget.samples=32", *AT_ONCE, "run.video_seconds=0",
 )  # fmt: skip
 
 

@@ -222,6 +222,18 @@ def test_a_distribution_is_made_again_of_its_parameters() -> None:
     assert float(again.divergence(other).min()) > 0
 
 
+def test_a_network_in_float32_stays_so_where_others_are_halved() -> None:
+    """As within another library's ``torch.autocast``: its hidden layers compute as anywhere else."""
+    net, x = mlp([5, 16, 16, 2]), torch.randn(7, 5)
+    hidden: list[torch.Tensor] = []
+    net[2].register_forward_hook(lambda *given: hidden.append(given[2].clone()))
+    net(x)
+    with torch.autocast("cpu", torch.bfloat16):
+        net(x)
+    assert hidden[0].dtype == torch.float32
+    assert torch.equal(*hidden)
+
+
 def test_a_network_in_bfloat16_keeps_its_last_layer() -> None:
     net = mlp([6, 32, 2])
     x = torch.randn(64, 6, generator=torch.Generator().manual_seed(0))

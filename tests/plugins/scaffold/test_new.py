@@ -9,6 +9,8 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -41,10 +43,23 @@ def install(folder: Path, site: Path) -> None:
     subprocess.run(command, check=True, timeout=200)
 
 
+#: Builds the wheel of the package in this folder by the backend that it names, which is all that pip calls of it.
+BUILD = "import sys, hatchling.build; print(hatchling.build.build_wheel(sys.argv[1]))"
+
+
+def unpack(folder: Path, site: Path) -> None:
+    """As :func:`install`, without pip, which takes five times as long: a wheel is unpacked where it is installed."""
+    with tempfile.TemporaryDirectory() as place:
+        command = [sys.executable, "-c", BUILD, place]
+        built = subprocess.run(command, cwd=folder, check=True, timeout=200, capture_output=True)
+        with zipfile.ZipFile(Path(place) / built.stdout.decode().split()[-1]) as wheel:
+            wheel.extractall(site)
+
+
 def test_a_new_plugin_passes_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In an interpreter of its own; the paper's is a fork of one that has imported all."""
+    """Installed by pip, and in an interpreter of its own; the others are unpacked, and forks of one that has imported all."""
     monkeypatch.chdir(tmp_path)
     assert main(["new", "plugin", "my_juggling"]) == 0
     said = capsys.readouterr().out
@@ -93,7 +108,7 @@ def test_a_new_paper_passes_at_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert re.search(r"^Train all of its table: .*understudy reproduce thrown/table$", said, re.M)
     (printed,) = re.findall(r"(pip install .*-e )", said)
     assert f"\n{printed}.\n" in (written / "README.md").read_text()
-    install(written, tmp_path / "site")
+    unpack(written, tmp_path / "site")
     done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "10 passed" in done.stdout
@@ -133,7 +148,7 @@ def test_one_of_both_alone(
     assert not [text for text in [said, *texts] if away in text or ">>>" in text]
     (printed,) = re.findall(r"(pip install .*-e )", said)
     assert f"\n{printed}.\n" in (written / "README.md").read_text()
-    install(written, tmp_path / "site")
+    unpack(written, tmp_path / "site")
     done = forked(PYTEST, str(tmp_path / "site"), str(written), cwd=written)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{passed} passed" in done.stdout
@@ -145,7 +160,7 @@ def observation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("observation")
     words = ["new", "plugin", "tall", "--only", "observation", "--folder", str(folder / "tall")]
     assert main(words) == 0
-    install(folder / "tall", folder / "site")
+    unpack(folder / "tall", folder / "site")
     return folder
 
 

@@ -102,7 +102,7 @@ class Track(InitialStates):
         pose, noise = self._pose.cpu().numpy(), self.options.noise
         depth = depth_in(person, pose)
         for start in self._starts(_MOST):
-            deepest = float(depth(settled + start).max())
+            deepest = float(depth(settled + start, near=0.0).max())
             if deepest > 0:
                 x, y, z = start
                 raise ConfigError(
@@ -111,7 +111,9 @@ class Track(InitialStates):
                 )
         for one in _noisy(pose, noise) if noise else ():
             depth = depth_in(person, one)
-            deepest = max(float(depth(settled + start).max()) for start in self._starts(_FEW))
+            deepest = max(
+                float(depth(settled + start, near=0.0).max()) for start in self._starts(_FEW)
+            )
             if deepest > _DEEP:
                 raise ConfigError(
                     f"initial_states: with a noise of {noise:g} rad the person begins {100 * deepest:.0f} cm inside the "
@@ -180,7 +182,7 @@ class _Settled(InitialStates):
         self._rest = person.spec().compile().nq - pose.shape[1]
         self._noise, self._rates, self._push = noise, rates, push
         ends = [(end, x) for one, x in settled for end in _noisy(one, noise)]
-        deepest = max(float(depth_in(person, one)(x).max()) for one, x in ends)
+        deepest = max(float(depth_in(person, one)(x, near=0.0).max()) for one, x in ends)
         if deepest > _DEEP:
             raise ConfigError(
                 f"{who}: with a noise of {noise:g} rad the person begins {100 * deepest:.0f} cm inside the cloth: give it less."

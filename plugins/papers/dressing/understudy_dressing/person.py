@@ -164,24 +164,35 @@ def neutral_pose(person: PersonScene) -> Tensor:
     return torch.tensor([0.21 if hinge.name.endswith("elbow") else 0.0 for hinge in person.hinges])
 
 
-def depth_in(person: PersonScene, pose: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def depth_in(person: PersonScene, pose: np.ndarray) -> Callable[..., np.ndarray]:
     """The function from points (P, 3), m, world frame, to how deep each is in the person in that pose (Q,) rad,
-    (P,) m; negative outside."""
-    model = person.spec().compile()
+    (P,) m; negative outside. Given `near` m as well, it may say -inf of those that are farther from the person than that,
+    which takes far less time where most are."""
+    model = person.model
     data = mujoco.MjData(model)
     data.qpos[: len(pose)] = pose
     mujoco.mj_kinematics(model, data)
+    shapes = []
+    for link in LINKS:
+        body = data.body(link.name)
+        place, turn = body.xpos.copy(), body.xmat.reshape(3, 3).copy()
+        for ra, a, rb, b in link.shapes:
+            ends, radii = place + np.array([a, b]) @ turn.T, np.array([[ra], [rb]])
+            box = (ends - radii).min(axis=0), (ends + radii).max(axis=0)
+            shapes.append((box, place, turn, ra, np.array(a), rb - ra, np.subtract(b, a)))
 
-    def depth(points: np.ndarray) -> np.ndarray:
+    def depth(points: np.ndarray, near: float = np.inf) -> np.ndarray:
         deepest = np.full(len(points), -np.inf)
-        for link in LINKS:
-            body = data.body(link.name)
-            local = (points - body.xpos) @ body.xmat.reshape(3, 3)
-            for ra, a, rb, b in link.shapes:
-                way = np.subtract(b, a)
-                share = np.clip((local - a) @ way / (way @ way), 0.0, 1.0)
-                away = np.linalg.norm(local - a - share[:, None] * way, axis=1)
-                deepest = np.maximum(deepest, ra + share * (rb - ra) - away)
+        around = points.min(axis=0) - near, points.max(axis=0) + near
+        for (low, high), place, turn, radius, begin, wider, way in shapes:
+            if (around[0] > high).any() or (around[1] < low).any():
+                continue
+            # all the points in its box, and near it
+            rows = ((points >= low - near) & (points <= high + near)).all(axis=1).nonzero()[0]
+            local = (points[rows] - place) @ turn - begin
+            share = np.clip(local @ way / (way @ way), 0.0, 1.0)
+            away = np.linalg.norm(local - share[:, None] * way, axis=1)
+            deepest[rows] = np.maximum(deepest[rows], radius + share * wider - away)
         return deepest
 
     return depth

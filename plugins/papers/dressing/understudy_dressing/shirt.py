@@ -90,7 +90,7 @@ class ShirtScene(CutGarment):
         needed = np.zeros(len(x))
         for away in np.arange(0.0, 0.30, 0.005):
             at = np.column_stack([front * away, x[:, 1:]])
-            needed[(depth(at) > -_CLEAR) & (front != 0)] = away + 0.005
+            needed[(depth(at, near=_CLEAR) > -_CLEAR) & (front != 0)] = away + 0.005
         edges, _ = edges_of(self.faces)
         both = np.concatenate([edges, edges[:, ::-1]])
         near = csr_array((np.ones(len(both)), both.T), shape=(len(x), len(x)))
