@@ -126,7 +126,7 @@ class Training:
             self.progress = Progress(**progress)
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             raise RunError(
-                f"The checkpoint does not fit this configuration: {type(error).__name__}: {error}. "
+                f"The checkpoint does not fit this configuration: {error if isinstance(error, ValueError) else repr(error)}. "
                 "Use the configuration it was made with."
             ) from error
 
