@@ -13,7 +13,7 @@ from torch import Tensor
 from understudy.task import Context
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.attempt import Attempt, Jump
-from understudy_jumping.terms import feet_first, fell, safety, spin
+from understudy_jumping.terms import feet_first, fell, lying, safety, spin
 
 STANDING = 0.882  #: m, of the root above the ground
 
@@ -259,3 +259,11 @@ def test_what_is_touched_after_landing_on_feet_is_no_crash(context: Context) -> 
     )
     found = follow(context, over(context, standing, lying), landing="feet")
     assert (found["landed"], found["crashed"]) == (1.0, 0.0)
+
+
+def test_a_trunk_that_lands_upside_down_is_worth_less() -> None:
+    """Lying on the back or upright costs nothing; between, in proportion."""
+    up = torch.tensor([1.0, 0.0, -0.5, -1.0])
+    axes = torch.stack([torch.zeros(4)] * 5 + [up], dim=1)
+    np.testing.assert_allclose(lying(axes), [1.0, 1.0, 0.65, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(lying(axes, upside_down=0.0), [1.0, 1.0, 0.5, 0.0], rtol=1e-6)

@@ -45,6 +45,7 @@ PARTS = {
         "jumping/spin": ("terms:spin", "little rotation of the root"),
         "jumping/safety": ("terms:safety", "not on the head"),
         "jumping/feet_first": ("terms:feet_first", "the feet before anything else"),
+        "jumping/lying": ("terms:lying", "not upside down"),
         "jumping/match": ("run_up:match", "the take-off that is wanted"),
     },
     "measure": {

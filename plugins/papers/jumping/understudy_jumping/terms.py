@@ -39,6 +39,18 @@ def safety(
     return torch.where(head_first != 0, unsafe, 1.0)
 
 
+@limits(upside_down=(0, 1))
+def lying(
+    root_axes: Tensor,
+    *,
+    #: the reward where the trunk is upside down, in [0, 1]; ours, since the thesis asks only that the head does not touch first
+    upside_down: float = 0.3,
+) -> Tensor:
+    """From `upside_down` to 1, by how far the trunk is from upside down; 1 where it lies or is upright. A factor beside `complete`, it
+    counts as the jump lands."""
+    return 1.0 - (1.0 - upside_down) * (-root_axes[:, 5]).clamp(0.0, 1.0)
+
+
 def fell(came_down: Tensor, landed: Tensor) -> Tensor:
     """It lies on the mat, and has not landed as it should."""
     return (came_down != 0) & (landed == 0)
