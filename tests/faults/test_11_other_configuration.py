@@ -52,7 +52,7 @@ def test_another_learner_state(plugins: Plugins, run: Path) -> None:
     del state["learner"]["actor"]
     checkpoint.save(run / "checkpoints/00000002", state, meta)
     with pytest.raises(
-        RunError, match=r"ValueError: 'learner/actor' is a dict here and nothing there\. Use"
+        RunError, match=r"configuration: 'learner/actor' is a dict here and nothing there\. Use"
     ):
         resumed(plugins, run)
 
