@@ -19,7 +19,8 @@ from understudy.task import Simulator
 from understudy.testing import check_simulator
 from understudy_pbd.scene import Fluid, Material, ParticleModel, Springs
 from understudy_pbd.simulator import ParticleSimulator
-from understudy_pbd.solver import SHARED_PARTICLES, Features, build_kernels
+from understudy_pbd.solver import build_kernels
+from understudy_pbd.world import SHARED_PARTICLES, Features
 
 
 @pytest.mark.parametrize("model", MODELS)

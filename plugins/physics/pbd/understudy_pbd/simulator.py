@@ -17,7 +17,8 @@ from understudy.options import check_range
 from understudy.task import Context, Shape
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
-from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
+from understudy_pbd.solver import build_kernels
+from understudy_pbd.world import ROWS, SHARED_PARTICLES, Features, System
 from understudy_warp_torch.compliance import Compliance
 from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
