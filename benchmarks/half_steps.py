@@ -19,7 +19,8 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from understudy_skills.skill import names, open_skill, unpack
+from understudy_skills.as_run import unpack
+from understudy_skills.skill import names, open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "half_steps.jsonl"
 WORDS = {

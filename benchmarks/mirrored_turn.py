@@ -18,7 +18,8 @@ from torch import Tensor
 
 from understudy.setup.building import build_environment
 from understudy_characters.scene import CharacterScene
-from understudy_skills.skill import Skill, open_skill, pack
+from understudy_skills.pack import pack
+from understudy_skills.skill import Skill, open_skill
 
 LEFT, RIGHT = "sitting/turn_left", "sitting/turn_right"
 

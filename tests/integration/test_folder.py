@@ -13,7 +13,7 @@ import pytest
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
 from understudy.records import runs
-from understudy_skills import folder, skill
+from understudy_skills import as_run, folder, pack
 from understudy_skills.folder import run_folder
 from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.skill import open_skill
@@ -93,12 +93,12 @@ def test_nothing_is_left_of_one_that_cannot_be_unpacked(
         raise RunError(f"{path}: the disk is full.")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(skill.checkpoint, "save", fails)
+    monkeypatch.setattr(as_run.checkpoint, "save", fails)
     with pytest.raises(RunError, match="disk is full"):
         run_folder(str(packed))
     assert list(Path("runs/skills").iterdir()) == []
     with pytest.raises(RunError, match=r"^own/run/checkpoints/00000001: the disk is full"):
-        skill.unpack(open_skill(str(packed)), Path("own/run"))
+        as_run.unpack(open_skill(str(packed)), Path("own/run"))
     assert list(Path("own").iterdir()) == []
 
 
@@ -110,12 +110,12 @@ def test_a_folder_with_something_in_it_is_not_unpacked_into(
     for name in ("empty", "mine"):
         Path(name).mkdir()
     Path("mine/notes.txt").write_text("of another day")
-    skill.unpack(opened, Path("empty"))
+    as_run.unpack(opened, Path("empty"))
     assert Path("empty/run.json").is_file()
     with pytest.raises(RunError, match=r"empty already holds a run\. Give another folder"):
-        skill.unpack(opened, Path("empty"))
+        as_run.unpack(opened, Path("empty"))
     with pytest.raises(RunError, match=r"mine cannot be made: Directory not empty\. Give another"):
-        skill.unpack(opened, Path("mine"))
+        as_run.unpack(opened, Path("mine"))
     assert sorted(p.name for p in Path().iterdir() if not p.name.startswith("runs")) == [
         "empty", "mine",
     ]  # fmt: skip
@@ -138,13 +138,13 @@ def test_what_is_read_of_another_run_by_no_name_is_not_packed(
     built_on: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """But for what its parts asked for; what a training began with, or a job took, is not read again."""
-    opened = skill.gathering(open_skill(str(built_on / "sleeve")))
+    opened = pack.gathering(open_skill(str(built_on / "sleeve")))
     monkeypatch.chdir(built_on / "go")
     run, config = str(built_on / "go"), dict(opened.card["config"])
 
     def refuse(part: str, options: dict[str, Any]) -> None:
         own = {**opened.card, "config": {**config, part: options}}
-        skill.refuse_of_others(dataclasses.replace(opened, card=own))
+        pack.refuse_of_others(dataclasses.replace(opened, card=own))
 
     for key in ("start", "job"):
         refuse(key, {"run": run})

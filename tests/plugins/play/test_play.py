@@ -28,7 +28,9 @@ from understudy_motion.library import data_folder
 from understudy_play.command import clip_of, record
 from understudy_play.player import Player
 from understudy_skills import skill as skills
-from understudy_skills.skill import open_skill, pack
+from understudy_skills.as_run import unpack
+from understudy_skills.pack import pack
+from understudy_skills.skill import open_skill
 
 
 def file_of(name: str) -> Path:
@@ -459,7 +461,7 @@ def test_numbers_of_another_kind_are_refused(kind: torch.dtype, of: str, tmp_pat
     with pytest.raises(
         RunError, match=rf"no packed skill: .* {kind}|does not fit .*: {name} differs"
     ):
-        skills.unpack(open_skill(str(tmp_path / "bad.json")), tmp_path / "run")
+        unpack(open_skill(str(tmp_path / "bad.json")), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -601,7 +603,7 @@ def test_a_skill_whose_overrides_are_no_words_is_refused(overrides: object, tmp_
     skill = open_skill("sitting/walk")
     bad = dataclasses.replace(skill, card={**skill.card, "overrides": overrides})
     with pytest.raises(RunError, match="no list of words"):
-        skills.unpack(bad, tmp_path / "run")
+        unpack(bad, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 

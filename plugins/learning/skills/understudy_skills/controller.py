@@ -18,8 +18,9 @@ from understudy.setup.config import Chosen
 from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Wired, renamed
 from understudy_reinforcement.policy import build_policy
+from understudy_skills.as_run import copy_run
 from understudy_skills.pack_inputs import PACKED, PackInputs
-from understudy_skills.skill import Skill, copy_run, open_skill
+from understudy_skills.skill import Skill, open_skill
 
 __all__ = ["Controller"]
 

@@ -17,7 +17,9 @@ from understudy.running.training import Training
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy.setup.root import Root
-from understudy_skills.skill import open_skill, others_named, unpack
+from understudy_skills.as_run import unpack
+from understudy_skills.pack import others_named
+from understudy_skills.skill import open_skill
 from understudy_training.watching import reporter
 
 __all__ = ["MAKE_A_RUN", "run_folder"]

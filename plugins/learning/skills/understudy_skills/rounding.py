@@ -11,8 +11,9 @@ from understudy.running.training import Training
 from understudy.setup.config import Experiment
 from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.paired import Paired
+from understudy_skills.pack import rounded
 from understudy_skills.packing import BITS
-from understudy_skills.skill import Skill, rounded
+from understudy_skills.skill import Skill
 
 __all__ = ["Rounding", "enough_bits", "judged"]
 

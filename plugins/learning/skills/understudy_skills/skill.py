@@ -3,13 +3,9 @@ and finished runs."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import re
-import shutil
-import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +14,9 @@ import torch
 from torch import Tensor
 
 from understudy.command.command import tell
-from understudy.errors import ConfigError, FileError, RunError, suggestion
-from understudy.folders import read, write_atomically
-from understudy.inputs import Inputs
-from understudy.options import at
+from understudy.errors import ConfigError, RunError, suggestion
+from understudy.folders import read
 from understudy.records import checkpoint, runs
-from understudy.running.training import Progress
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, refuse_resolvers, replaced
 from understudy.setup.config import Experiment
@@ -53,26 +46,10 @@ from understudy_skills.packing import (
     words_of_no_folder,
 )
 
-__all__ = [
-    "Skill",
-    "gathering",
-    "names",
-    "open_skill",
-    "others_named",
-    "pack",
-    "read_card",
-    "refuse_of_others",
-    "rounded",
-    "unpack",
-    "with_own_starts",
-]
+__all__ = ["Skill", "names", "open_skill", "read_card", "with_own_starts"]
 
 #: Overrides that say where and how a run was carried out, not what it was.
-_OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
-#: Options that name a clip or a model.
-_FILES_OF_OTHERS = ("motion.file", "motion.skeleton", "scene.character")
-#: What of a run acts inside another task.
-_ACTING = re.compile(r"(encoder|actuation|policy)\b")
+OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 #: What of a run a policy that acts inside another task has no use for.
 _NOT_OF_CONTROLLERS = (
     "simulator", "initial_states", "reward", "termination", "measure", "curriculum", "learner", "job", "start",
@@ -137,7 +114,7 @@ class Skill:
             banks, policies, files = inputs.banks, inputs.policies, inputs.carried()
         paths = {asked: asked.partition(" ")[2] for asked in (*banks, *policies)}
         for _, word in words_in(card["config"]):
-            paths |= {asked: word for asked in files if _asks_for(asked, word)}
+            paths |= {asked: word for asked in files if asks_for(asked, word)}
         others = [w for _, w in words_in(card["config"]) if is_of_a_disk(w)]
         names = names_within([*dict.fromkeys([*paths.values(), *others])], card.get("overrides"))
         config = renamed(dict(card["config"]), names)
@@ -275,7 +252,7 @@ def _of_run(
         tell(f"{path} has no checkpoint yet but that before training: nothing is learned in it.")
     card = {
         "config": config,
-        "overrides": [o for o in words if not _OF_THE_RUN.match(o)],
+        "overrides": [o for o in words if not OF_THE_RUN.match(o)],
         "samples": samples,
         "versions": meta.get("versions"),
         "sources": meta.get("sources"),
@@ -308,7 +285,7 @@ def _packed(
 ) -> Skill:
     state, card, inputs = _loaded(path, registry)
     if overrides:
-        words = replaced(_words_of(card, name), overrides)
+        words = replaced(words_of(card, name), overrides)
         refuse_resolvers(words[: len(words) - len(overrides)], name)
         card = {**card, "overrides": words, "config": compose_raw(words), "evaluation": None}
     return _made_of(path, name, state, card, inputs, registry, without)
@@ -366,7 +343,12 @@ def _inputs_of(
     return PackInputs(banks=held, policies=policies, files=files)
 
 
-def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
+def asks_for(asked: str, word: str) -> bool:
+    """Whether the word of a configuration is the path, or name, of what was asked for."""
+    return asked.endswith((f" {word}", f"={word}"))
+
+
+def words_of(card: Mapping[str, Any], name: str) -> list[str]:
     """The overrides that made a packed skill."""
     words = card.get("overrides")
     if words is None:
@@ -376,78 +358,6 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise RunError(f"{name} is no packed skill: its overrides are no list of words.")
     return words
-
-
-@contextlib.contextmanager
-def others_named(skill: Skill, source: str, cure: str) -> Iterator[None]:
-    """Inside, a clip or a model that is missing is said to be one of those that the pack `source` only names; `cure` says what
-    to do, with ``{}`` for the override that gives it."""
-    try:
-        yield
-    except FileError as error:
-        config = skill.card.get("config")
-        given = {key: at(config, key) for key in _FILES_OF_OTHERS}
-        named = [f"{key}=PATH" for key, name in given.items() if name and str(name) in str(error)]
-        if Path(source).is_dir() or not named:
-            raise
-        raise FileError(
-            f"{error} A pack names clips and models, and has no copies of them: {cure.format(named[0])}."
-        ) from error
-
-
-def gathering(skill: Skill) -> Skill:
-    """`skill`, whose task is read with the banks and policies that :func:`pack` will write."""
-    inputs = PackInputs.gathering(skill.experiment.inputs)
-    return replace(skill, experiment=replace(skill.experiment, inputs=inputs))
-
-
-def refuse_of_others(skill: Skill) -> None:
-    """Refuse to pack `skill`, which was judged (:func:`gathering`), if its task reads of another run what no pack has: what it did
-    not ask for as a bank, a policy that acts inside it, or a file. What its training began with (``start.run``), or its job
-    read, is not needed any more.
-
-    Raises
-    ------
-    ConfigError
-        it does; the error says what to override.
-    """
-    _refuse(skill, "")
-
-
-def _refuse(skill: Skill, inside: str) -> None:
-    """As :func:`refuse_of_others`, of the policy `inside` another, too, of which only :data:`_ACTING` counts."""
-    inputs = skill.experiment.inputs
-    had = inputs if isinstance(inputs, PackInputs) else PackInputs()
-    asked = {*had.banks, *had.policies, *had.asked}
-    for key, value in words_in(skill.card["config"]):
-        if _OF_THE_RUN.match(key) or key.startswith("job.") or (inside and not _ACTING.match(key)):
-            continue
-        if _is_run(value) and not any(_asks_for(a, value) for a in asked):
-            cure = (
-                "Override it, for example by 'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is then judged and "
-                "played with that."
-            )
-            if inside or key.startswith(
-                "actuation."
-            ):  # without it it does something else, or nothing
-                cure = "Pass on the run folder, which has a copy of it."
-            raise ConfigError(
-                f"--pack: {inside}{key}={value} is another run's, and what is read of it no pack has. {cure}"
-            )
-    for name, inner in had.policies.items():
-        _refuse(inner, f"{inside}{name.partition(' ')[2]}: ")
-
-
-def _is_run(word: str) -> bool:
-    """Whether the word of a configuration, maybe a stranger's, is a run folder."""
-    with contextlib.suppress(OSError):  # of a word that is longer than any path
-        return bool(word) and (Path(word) / "run.json").is_file()
-    return False
-
-
-def _asks_for(asked: str, word: str) -> bool:
-    """Whether the word of a configuration is the path, or name, of what was asked for."""
-    return asked.endswith((f" {word}", f"={word}"))
 
 
 def with_own_starts(
@@ -486,121 +396,3 @@ def _begun_as(own: Mapping[str, Any], skill: Skill) -> dict[str, Any]:
 def _starts(experiment: Experiment) -> list[Any]:
     config = experiment.effective()
     return [config.get("initial_states"), (config.get("evaluation") or {}).get("starts")]
-
-
-def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any], bits: int = 8) -> None:
-    """Write the actor of `skill`, and the banks and policies that it was judged with (:func:`gathering`), as ``PATH.safetensors`` and its
-    card as ``PATH.json``.
-
-    Matrices get 8 or 16 `bits` per weight and a scale per row; with 32 they are unchanged, as everything else is.
-    `evaluation` goes onto the card.
-
-    Raises
-    ------
-    RunError
-        if they cannot be written; what was there is as it was.
-    """
-    state, card = replace(skill, card={**skill.card, "evaluation": dict(evaluation)}).packed(bits)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Both files are there before one takes its place: without its tensors, a card that was there is of nothing.
-    name = path.name.removesuffix(".json").removesuffix(".safetensors")
-    made = path.with_name(f".{name}.{os.getpid()}.partial")
-    endings = (".safetensors", ".json")
-    try:
-        checkpoint.save(made, state, card)
-        for ending in endings:
-            os.replace(made.with_name(made.name + ending), path.with_name(name + ending))
-    except RunError as error:
-        raise RunError(str(error).replace(made.name, name)) from error
-    except OSError as error:
-        raise RunError(f"{path} could not be written: {error.strerror}.") from error
-    finally:
-        for ending in endings:
-            with contextlib.suppress(OSError):  # it is there only if that did not end
-                made.with_name(made.name + ending).unlink()
-
-
-def unpack(skill: Skill, path: Path) -> None:
-    """Write `skill` as the run folder `path`, which serves wherever a run does: to begin another training
-    (``start.run``), as a controller inside another task (``actuation.runs``), for a harvest (``job.run``).
-
-    A packed skill has no critic, so it gets a new one; it has no optimiser and no worlds, which ``start.run`` does not need.
-
-    Raises
-    ------
-    ConfigError
-        if the skill was packed without the overrides that made it.
-    RunError
-        if the folder holds a run already or cannot be written, or the overrides are no words.
-    """
-    if (path / "run.json").exists():
-        raise RunError(f"{path} already holds a run. Give another folder.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.parent / Path(tempfile.mkdtemp(prefix=".", dir=path.parent)).name
-    except OSError as error:
-        raise RunError(f"The run folder {path} cannot be made: {error.strerror}.") from error
-    try:  # beside it, and moved there: it is there as a whole or not at all
-        try:
-            _make(skill, beside / "run")
-        except RunError as error:  # which names what nobody typed
-            raise RunError(str(error).replace(str(beside / "run"), str(path))) from error
-        text = (beside / "run" / "run.json").read_text(encoding="utf-8")
-        own = text.replace(f"{beside.name}/run", json.dumps(path.name)[1:-1])
-        write_atomically(beside / "run" / "run.json", own.encode())
-        try:
-            (beside / "run").rename(path)
-        except OSError as error:
-            raise RunError(
-                f"The run folder {path} cannot be made: {error.strerror}. Give another folder."
-            ) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-
-
-def _make(skill: Skill, path: Path) -> None:
-    """Write `skill` as the new run folder `path`."""
-    overrides = _words_of(skill.card, skill.name)
-    root = skill.experiment.root
-    experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))
-    policy, sources = skill.whole(), skill.card.get("sources") or {}
-    run = runs.create(experiment, [*overrides, f"run.dir={path}"], sources)
-    try:
-        if skill.card.get("licence"):  # what a run's copies would say of themselves
-            run.write_json("run.json", {**run.info, "licence": skill.card["licence"]})
-        progress = Progress(samples=skill.samples, evaluated_at=skill.samples).state_dict()
-        state = {"policy": policy, "progress": progress}
-        meta = {"versions": skill.card.get("versions"), "sources": sources}
-        checkpoint.save(run.checkpoints / "00000001", state, meta)
-        run.write_json("evaluation.json", skill.card.get("evaluation") or {})
-    finally:
-        run.unlock()
-
-
-def copy_run(source: str, folder: Path) -> None:
-    """Write into `folder` what a skill needs of the run folder `source`: its ``run.json``, only the policy of its newest
-    checkpoint, and the copies of what its parts read.
-
-    Raises
-    ------
-    RunError
-        one of these copies is not what the run was made with.
-    """
-    run = runs.open_run(source)
-    state, meta = run.newest()
-    (folder / "checkpoints").mkdir(parents=True)
-    kept = {"policy": state["policy"], "progress": {"samples": state["progress"]["samples"]}}
-    checkpoint.save(folder / "checkpoints" / "00000001", kept, meta)
-    (folder / "run.json").write_bytes((run.path / "run.json").read_bytes())
-    inputs = Inputs(run.path / "inputs", dict(run.info.get("inputs", {})))
-    for asked, names in inputs.kept.items():
-        inputs.file(asked, list)  # all inside that folder, and whole
-        for name in names:
-            (folder / "inputs" / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / "inputs" / name).write_bytes((inputs.folder / name).read_bytes())
-
-
-def rounded(skill: Skill, bits: int = 8) -> Skill:
-    """`skill` as packing with so many `bits` per weight makes it, so that what is judged is what ships."""
-    tensors = {k: unpacked(packed_tensor(v, bits)) for k, v in skill.policy.items()}
-    return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)

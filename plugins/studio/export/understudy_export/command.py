@@ -188,7 +188,8 @@ def _policy(options: argparse.Namespace) -> int:
     _refuse_options(options, "is a policy")
     from understudy_export.policy import write_policy
     from understudy_skills.folder import MAKE_A_RUN
-    from understudy_skills.skill import open_skill, others_named
+    from understudy_skills.pack import others_named
+    from understudy_skills.skill import open_skill
 
     skill = open_skill(options.source)
     with others_named(skill, options.source, MAKE_A_RUN.replace("SKILL", options.source)):

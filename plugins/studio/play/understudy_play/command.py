@@ -24,22 +24,12 @@ from understudy_reinforcement.long_work import LongWork
 from understudy_report.values import mapping, number
 from understudy_report.video import length, video_file, write_video
 from understudy_skills import bank
+from understudy_skills.as_run import unpack
+from understudy_skills.pack import gathering, others_named, pack, refuse_of_others, rounded
 from understudy_skills.pack_inputs import PackInputs
 from understudy_skills.packing import BITS, is_left_over
 from understudy_skills.rounding import Rounding, enough_bits, judged
-from understudy_skills.skill import (
-    Skill,
-    gathering,
-    names,
-    open_skill,
-    others_named,
-    pack,
-    read_card,
-    refuse_of_others,
-    rounded,
-    unpack,
-    with_own_starts,
-)
+from understudy_skills.skill import Skill, names, open_skill, read_card, with_own_starts
 from understudy_skills.words import refuse_of_trainings
 
 __all__ = ["add_page_arguments", "film", "record", "serve"]
