@@ -314,6 +314,12 @@ class Reinforcement(Job):
             missed.append(
                 f"difficulty={difficulty:g} changes nothing: no part of this task reads it."
             )
+        criterion = self.experiment.root.evaluation.criterion
+        if criterion is not None and success_of(self.experiment) is None:
+            missed.append(
+                f"evaluation.criterion={criterion:g} is never met: nothing in this task says whether an episode succeeded. Say it by "
+                "evaluation.success={measure: NAME, at_least: NUMBER}."
+            )
         return [f"The policy reads {', '.join(seen) or 'no observation'}.", *missed]
 
     def has_difficulty(self) -> bool:
