@@ -193,3 +193,17 @@ def test_an_angle_in_degrees_is_refused_where_it_is_in_rad(words: list[str], sai
         ConfigError, match=f"is not possible: it must be at most 6.283 rad, a whole turn; {said}"
     ):
         build_environment(load_experiment(words), num_worlds=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["experiment=sitting/sit", "fields.seat.upright=0.78"], "upright=0.78 is not possible: .* if 0.78 are rad, give 44.69"),
+        (["experiment=sitting/sit", "fields.seat.facing=1.05"], "facing=1.05 is not possible: .* if 1.05 are rad, give 60.16"),
+        (["experiment=sitting/turn_left", "termination.terms.off_course.degrees=0.78"], "if 0.78 are rad, give 44.69"),
+    ],
+)  # fmt: skip
+def test_an_angle_in_rad_is_refused_where_it_is_in_degrees(words: list[str], said: str) -> None:
+    """Nothing sat upright to within 0.78 degrees, and the training went on."""
+    with pytest.raises(ConfigError, match=said):
+        load_experiment(words)
