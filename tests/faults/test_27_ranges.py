@@ -14,6 +14,7 @@ from test_27_sizes import NEEDED, nested, schemas
 from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.options import Option, options_of
+from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
 
@@ -169,3 +170,40 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
         "reward.terms.safe.unsafe=1.5 is not possible: it must be at most 1."
         in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["experiment=spacetime/walk", "termination.terms.root.size=40"], "if 40 are degrees, give 0.6981"),
+        (["experiment=spacetime/walk", "termination.terms.joints.size=[[0,0.7],[1,40]]"], "if 40 are degrees, give 0.6981"),
+        (["experiment=jumping/high", "initial_states.takeoff.alpha=-30"], "if -30 are degrees, give -0.5236"),
+        (["experiment=jumping/high", "actuation.margin=30"], "if 30 are degrees, give 0.5236"),
+        (["experiment=jumping/high", "+actuation.ranges={chest: [[0, 60]]}"], "if 60 are degrees, give 1.047"),
+        (["experiment=jumping/high", "+actuation.rest={chest: [-60]}"], "if 60 are degrees, give 1.047"),
+        (["experiment=amorphous/gather", "initial_states.facing=90"], "if 90 are degrees, give 1.571"),
+        (["experiment=amorphous/gather", "actuation.tilt=20"], "if 20 are degrees, give 0.3491"),
+        (["experiment=morphology/walk", "termination.terms.fallen.limit=45"], "if 45 are degrees, give 0.7854"),
+        (["experiment=chopsticks/open_close", "initial_states.amplitude=[7,7]"], "if 7 are degrees, give 0.1222"),
+    ],
+)  # fmt: skip
+def test_an_angle_in_degrees_is_refused_where_it_is_in_rad(words: list[str], said: str) -> None:
+    """A bound of 40 rad is never left: the training went on, with one bound less."""
+    with pytest.raises(
+        ConfigError, match=f"is not possible: it must be at most 6.283 rad, a whole turn; {said}"
+    ):
+        build_environment(load_experiment(words), num_worlds=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["experiment=sitting/sit", "fields.seat.upright=0.78"], "upright=0.78 is not possible: .* if 0.78 are rad, give 44.69"),
+        (["experiment=sitting/sit", "fields.seat.facing=1.05"], "facing=1.05 is not possible: .* if 1.05 are rad, give 60.16"),
+        (["experiment=sitting/turn_left", "termination.terms.off_course.degrees=0.78"], "if 0.78 are rad, give 44.69"),
+    ],
+)  # fmt: skip
+def test_an_angle_in_rad_is_refused_where_it_is_in_degrees(words: list[str], said: str) -> None:
+    """Nothing sat upright to within 0.78 degrees, and the training went on."""
+    with pytest.raises(ConfigError, match=said):
+        load_experiment(words)

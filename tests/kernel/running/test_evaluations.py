@@ -359,6 +359,7 @@ def test_what_counts_if_nothing_is_said(overrides: tuple[str, ...], expected: st
         ((far(6, "report"), "evaluation.success=survived"), r"survived cannot be judged"),
         ((far(6), "evaluation.success=far"), r"=far names no termination term with outcome=success"),
         (("evaluation.success=nothing",), r"=nothing names no termination term with outcome=success"),
+        (("+measure.at={name: line/value}", "evaluation.success={measure: at, at_least: 5, at_most: 1}"), r"at_least=5 is not possible: it is more than at_most=1"),
         (("evaluation.success={measure: at, at_least: 1}",), r"^evaluation\.success\.measure names 'at', which is no measure of this task"),
     ],
 )  # fmt: skip
@@ -367,6 +368,15 @@ def test_success_that_cannot_be_judged(overrides: tuple[str, ...], message: str)
         evaluator(*overrides, task=LINE_TASK)
     with pytest.raises(ConfigError, match=message):  # and before it trains
         make_training(line_plugins(), [*LINE_TASK, *overrides])
+
+
+def test_a_criterion_without_a_success_is_told_of() -> None:
+    """A training said that it went on until so many succeed, and nothing could."""
+    for more, told in (((), True), ((far(6),), False)):
+        training = make_training(line_plugins(), [*LINE_TASK, "evaluation.criterion=0.5", *more])
+        said = " ".join(training.job.notes())
+        assert ("evaluation.criterion=0.5 is never met: nothing in this task says" in said) is told
+        training.close()
 
 
 # ---------------------------------------------------------------------- draws

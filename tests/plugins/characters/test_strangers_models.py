@@ -719,6 +719,34 @@ def test_ranges_of_the_other_unit_of_angles_are_said(
 
 
 @pytest.mark.parametrize(
+    ("servo", "said"),
+    [
+        (
+            'position kp="50" ctrlrange="-90 90"',
+            "targets be 90 radians from zero. If these are degrees",
+        ),
+        ('position kp="50" ctrlrange="-90 90" gear="100"', ""),
+        ('position kp="50" ctrlrange="-1.57 1.57"', ""),
+        ('position kp="50" ctrlrange="-90 90" ctrllimited="false"', ""),
+        ('motor ctrlrange="-90 90"', ""),
+        ('velocity kv="5" ctrlrange="-90 90"', ""),
+    ],
+)
+@pytest.mark.parametrize("unit", ["degree", "radian"])
+def test_targets_in_degrees_are_said(tmp_path: Path, unit: str, servo: str, said: str) -> None:
+    """A control range is in radians whatever the compiler's angle is: targets in degrees went round and round, in silence."""
+    text = robot_xml().replace('angle="radian"', f'angle="{unit}"')
+    text = text.replace("</mujoco>", f'<actuator><{servo} joint="left_knee"/></actuator></mujoco>')
+    (tmp_path / "robot.xml").write_text(text)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load(tmp_path / "robot.xml")
+    found = [str(one.message) for one in caught if "servos' targets" in str(one.message)]
+    assert bool(found) == bool(said)
+    assert said in "".join(found)
+
+
+@pytest.mark.parametrize(
     ("unnamed", "other"), [("pelvis", "head"), ("left_thigh", "head"), ("left_thigh", "left_shin")]
 )
 def test_a_body_without_a_name_gets_one_that_is_free(

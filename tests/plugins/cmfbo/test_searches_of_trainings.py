@@ -148,3 +148,33 @@ def test_a_finished_trial_is_listed_as_finished(
     said = capsys.readouterr().out
     assert "trial0" in said
     assert "unfinished" not in said
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("device", "says where and how a trial runs"),
+        ("simulator.threads", "says where and how a trial runs"),
+        ("checkpoint.keep", "says where and how a trial runs"),
+        ("run.video_seconds", "says where and how a trial runs"),
+        ("run.dir", "says where and how a trial runs"),
+        ("executor.workers", "a sweep says that of each of its trials"),
+        ("seed", "to differ in what is searched, not by chance"),
+        ("evaluation.seconds", "says how trials are judged"),
+        ("evaluation.objective", "says how trials are judged"),
+        ("motion.name", "motion.name=1 is not possible: it takes a text"),
+        ("scene.character", "scene.character=1 is not possible: it takes a text"),
+    ],
+)  # fmt: skip
+def test_what_a_search_cannot_mean_is_refused_before_a_trial(
+    option: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Trials failed one by one, or the luckiest seed and the easiest judge were found best."""
+    command = [
+        "sweep", "experiment=spacetime/walk", "outer_loop=random_search", "outer_loop.trials=2",
+        f"outer_loop.parameters={{{option}: {{low: 1, high: 2, integer: true}}}}",
+        "evaluation.objective=return", "executor=in_process", f"run.dir={tmp_path / 's'}",
+    ]  # fmt: skip
+    assert main(command) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "s").exists()

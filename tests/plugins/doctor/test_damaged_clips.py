@@ -187,6 +187,18 @@ def test_a_wrong_frame_rate(walks: Clip, humanoid: Character) -> None:
         assert all(f.severity == Severity.MAJOR and "--source-rate" in f.remedy for f in too_fast)
 
 
+def test_frames_per_second_in_place_of_seconds(walks: Clip, humanoid: Character) -> None:
+    found = examine(replace(walks, times=walks.times / walks.times[1] * 30.0), humanoid).findings
+    (slow,) = (f for f in found if f.kind == "slow_frames")
+    assert slow.severity == Severity.MAJOR
+    assert slow.value == pytest.approx(30.0)
+    assert slow.unit == "s"
+    assert "its frames are 30 s apart" in slow.what
+    assert "--source-rate 30" in slow.remedy
+    quicker = replace(walks, times=walks.times / walks.times[1] * 0.9)
+    assert "slow_frames" not in {f.kind for f in examine(quicker, humanoid).findings}
+
+
 def test_a_pause_is_taken_out(walks: Clip, humanoid: Character) -> None:
     examined = examine(paused(walks, 60, 2), humanoid)
     assert examined.findings[0].kind == "duplicate_frames"

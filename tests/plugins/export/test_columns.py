@@ -110,3 +110,28 @@ def test_balls_have_no_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(["motion", "export", "walk", "humanoid", str(out), "--for", "mjlab"]) == 2
     assert "is no hinge" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("command", [["motion", "export"], ["export"]])
+@pytest.mark.parametrize(
+    ("rate", "said"),
+    [("0.001", "1000 s apart"), ("0.0333", "the rate is 30.03"), ("1e6", "so often"), ("0", "above 0")],
+)  # fmt: skip
+def test_what_is_no_rate_is_refused(
+    command: list[str], rate: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table of one frame came of it, and nothing was said."""
+    out = str(tmp_path / "out.csv")
+    words = ["humanoid", out, "--for", "mjlab"] if command[0] == "motion" else [out]
+    assert main([*command, "walk", *words, f"--rate={rate}"]) == 2
+    assert said in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_cycle_of_one_pose_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.bvh"
+    assert main(["export", "walk", str(out), "--rate=1"]) == 2
+    assert "a cycle of 1.05 s at 1 Hz is one pose" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["export", "walk", str(out), "--rate=2"]) == 0
+    assert "Frames: 3" in out.read_text()

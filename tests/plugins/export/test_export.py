@@ -206,8 +206,10 @@ def test_sources_and_destinations_that_are_none(
     assert "no character 'crocher'" in complaint(capsys, bvh, out, "--character", "crocher")
     assert "no joint 'head'" in complaint(capsys, bvh, out, "--character", "croucher")
     assert "does not loop" in complaint(capsys, bvh, out, "--cycles", 2)
-    assert "too many frames" in complaint(capsys, bvh, out, "--rate", "1e300")
-    assert "less than two frames" in complaint(capsys, bvh, out, "--rate", "1e-300")
+    assert "recorded so often" in complaint(capsys, bvh, out, "--rate", "1e300")
+    assert "s apart" in complaint(capsys, bvh, out, "--rate", "1e-300")
+    assert "too many frames" in complaint(capsys, "walk", out, "--rate", "9000", "--seconds", "1e6")
+    assert "less than two frames" in complaint(capsys, bvh, out, "--rate", "1", "--seconds", "0.5")
     assert not out.exists()
 
 

@@ -4,6 +4,7 @@ format; it was read, as a motion in extreme slow motion."""
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import understudy_motion
 from understudy.errors import ConfigError, FileError, UnderstudyError
 from understudy.setup.registry import Registrar, Registry
 from understudy_motion.reading import ReadOptions, read_clip
+from understudy_motion.writers.table import NpzWriter
 
 NAMED = "root.px,root.py,root.pz,root.qw,root.qx,root.qy,root.qz,knee.rx,knee.ry,knee.rz\n"
 FRAME = "0,0,1,1,0,0,0,0.1,0,0\n"
@@ -96,6 +98,26 @@ def test_times_without_a_unit_that_are_no_seconds_are_asked_about(
     path.write_text(table("time", *(step * n for n in range(6))))
     with pytest.raises(FileError, match=says):
         read_clip(path, registry)
+
+
+@pytest.mark.parametrize("apart", [30.0, 1.2, 1.0])
+def test_frames_that_are_seconds_apart_are_told_of(
+    tmp_path: Path, registry: Registry, apart: float
+) -> None:
+    """Times that say that they are seconds, and of our own format, may be frames per second all the same."""
+    (tmp_path / "a.csv").write_text(table("time [s]", *(apart * n for n in range(6))))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        clip = read_clip(tmp_path / "a.csv", registry)
+        NpzWriter().write(clip, tmp_path / "a.npz")
+        read_clip(tmp_path / "a.npz", registry)
+    said = [str(one.message) for one in told]
+    assert len(said) == (0 if apart == 1.0 else 2)
+    for one, cure in zip(
+        said, (f"motion.rate={apart:g}", "write its times in seconds"), strict=False
+    ):
+        assert f"its frames are {apart:g} s apart" in one
+        assert cure in one
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,8 @@ def test_the_gpu_simulator_has_the_same(tmp_path: Path) -> None:
         ({"impratio": 0.0}, "impratio=0.0 is not possible"),
         ({"iterations": 0}, "iterations=0 is not possible"),
         ({"solimp": (0.99, 0.9, 0.01)}, "the lower first"),
+        ({"solref": (20.0, 1.0)}, "sink in for 20 s; .* If these are ms, give 0.02"),
+        ({"solimp": (0.9, 0.95, 1.0)}, "in metres, at most 0.5. If it is in mm, give 0.001"),
         ({"solref": (-1000.0, -10.0)}, "both must be positive"),
         ({"integrator": "verlet"}, "scene.contact.integrator='verlet' is not possible"),
     ],

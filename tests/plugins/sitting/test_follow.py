@@ -93,6 +93,26 @@ def test_what_cannot_follow_is_said_and_what_can(
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        (["sitting/turn_right", "sitting/turn_left"], "sitting/turn_right turns to the right, 304° in its clip"),
+        (["sitting/walk", "sitting/turn_left"], "sitting/turn_left turns to the left, 304° in its clip"),
+    ],
+)  # fmt: skip
+def test_exchanged_turns_are_refused(
+    runs: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It turned the long way round, or for good."""
+    film = ["--video", str(tmp_path / "x.mp4")]
+    assert main(["sitting", "follow", "sitting/walk", *runs, *film]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "The order is walk, turn_left, turn_right." in told
+    assert not any(tmp_path.iterdir())
+    Follower(["sitting/walk", "sitting/turn_left", "sitting/turn_right"]).close()
+
+
 def test_a_name_with_a_quotation_mark_is_read(capsys: pytest.CaptureFixture[str]) -> None:
     for runs in (["it's [mine]"], ["sitting/walk", "it's [mine]", "sitting/turn_right"]):
         assert main(["sitting", "follow", *runs]) == 2

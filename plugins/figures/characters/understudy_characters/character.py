@@ -94,6 +94,7 @@ def character_spec(
         _free_root(spec, path.stem)
         if not file.attaches:  # whose angles may be in units of their own
             _warn_of_angles(spec, path.stem)
+        _warn_of_servos(spec, path.stem)
         return path.stem, spec
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
@@ -120,6 +121,28 @@ def _warn_of_angles(spec: mujoco.MjSpec, name: str) -> None:
         warnings.warn(
             f"Model '{name}' lets most of its hinges turn by {ends[len(ends) // 2]:.3g} radians, so by any number of turns. "
             'If its ranges are in degrees, take <compiler angle="radian"/> out.',
+            stacklevel=2,
+        )
+
+
+def _warn_of_servos(spec: mujoco.MjSpec, name: str) -> None:
+    """Warn if the targets of position servos of hinges look like degrees: a ``ctrlrange`` is in radians, whatever
+    ``<compiler angle>`` says."""
+    hinges = {joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
+    ends = sorted(
+        float(np.abs(servo.ctrlrange).max() / abs(servo.gear[0] or 1.0))
+        for servo in spec.actuators
+        if servo.target in hinges
+        and servo.trntype == mujoco.mjtTrn.mjTRN_JOINT
+        and servo.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+        and servo.biasprm[1] < 0  # pulled to a target, and not merely damped
+        and servo.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE
+        and np.any(servo.ctrlrange)
+    )
+    if ends and (middle := ends[len(ends) // 2]) > 4.0 * math.pi:
+        warnings.warn(
+            f"Model '{name}' lets most of its servos' targets be {middle:.3g} radians from zero. If these are degrees, write each "
+            f"ctrlrange in radians, as {math.radians(middle):.3g}: <compiler angle> does not change it.",
             stacklevel=2,
         )
 

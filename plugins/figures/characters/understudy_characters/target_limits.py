@@ -12,6 +12,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.limits import ANGLE, in_degrees
 
 __all__ = ["Range", "check_axes", "servo_axes", "target_limits"]
 
@@ -55,12 +56,15 @@ def target_limits(
     ------
     ConfigError
         `ranges`, which is the `option` of an actuation, names no joint of the character, has more
-        ranges than a joint has servos, a range whose first number is the higher one, or one without any of a servo's.
+        ranges than a joint has servos, a range whose first number is the higher one or that goes beyond a whole turn, or one without any of a servo's.
     """
     joints, model = scene.layout.joint_names, scene.model
     for name, axes in ranges.items():
         if name not in joints:
             raise ConfigError(f"{option}: there is no joint '{name}'.{suggestion(name, joints)}")
+        far = max((abs(end) for both in axes for end in both if math.isfinite(end)), default=0.0)
+        if far > ANGLE[1]:
+            raise ConfigError(f"{option}.{name}={axes} is not possible: {in_degrees(far)}")
         if any(low > high for low, high in axes):
             raise ConfigError(f"{option}.{name}={axes}: the first is the lower one.")
         check_axes(f"{option}.{name}", len(axes), name, model)

@@ -12,9 +12,18 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
-from understudy_motion.reading import METRES, AngleUnit, Axis, NamedUnit, ReadOptions, Unit
+from understudy_motion.reading import METRES, AngleUnit, Axis, NamedUnit, ReadOptions, Unit, no_rate
 
-__all__ = ["add_reading", "finite", "open_clip", "port", "positive", "refuse_reading", "share"]
+__all__ = [
+    "add_reading",
+    "finite",
+    "frame_rate",
+    "open_clip",
+    "port",
+    "positive",
+    "refuse_reading",
+    "share",
+]
 
 
 def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
@@ -28,7 +37,7 @@ def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
     group.add_argument(
         "--angles", choices=typing.get_args(AngleUnit), help="the unit of its angles"
     )
-    group.add_argument("--source-rate", type=positive, metavar="HZ", help="its frames per second")
+    group.add_argument("--source-rate", type=frame_rate, metavar="HZ", help="its frames per second")
     parser.set_defaults(repeats=None)
     if loop:
         group.add_argument(
@@ -94,6 +103,14 @@ def positive(text: str) -> float:
     value = float(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def frame_rate(text: str) -> float:
+    """An argument's type: frames per second that a motion may have."""
+    value = positive(text)
+    if why := no_rate(value):
+        raise argparse.ArgumentTypeError(f"{text} is no rate: {why}")
     return value
 
 

@@ -9,6 +9,7 @@ A reader is a component of kind ``clip_reader``, so that a plugin can add a form
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
 from understudy_motion.limits import read_bytes
 
-__all__ = ["Axis", "ReadOptions", "Unit", "metres_of", "readers"]
+__all__ = ["SLOWEST_RATE", "Axis", "ReadOptions", "Unit", "metres_of", "readers"]
 
 NamedUnit = Literal["m", "cm", "mm", "inch", "foot"]
 Unit = NamedUnit | float
@@ -201,6 +202,14 @@ def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> 
         raise FileError(
             f"Clip {path}: it lasts {clip.duration:.4g} s, and nobody records longer than {LONGEST:g}. Write its times in seconds, or "
             "give motion.rate (--source-rate)."
+        )
+    if rate < SLOWEST_RATE:
+        cure = f"motion.rate={1.0 / rate:.4g} (--source-rate) reads them so"
+        cure = "write its times in seconds" if "rate" in reader.fixed else cure
+        warnings.warn(
+            f"Clip {path}: its frames are {1.0 / rate:.4g} s apart, and a motion has {SLOWEST_RATE:g} a second or more; if these "
+            f"are frames per second, {cure}.",
+            stacklevel=2,
         )
     return clip
 

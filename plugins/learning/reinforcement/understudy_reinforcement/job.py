@@ -85,6 +85,8 @@ class Reinforcement(Job):
         #: Share of the last rollout's steps in which an episode failed.
         self._failing = 1.0
         self._faults: Faults | None = None
+        #: Until it was said that every decision is an episode.
+        self._tell: Callable[[str], None] | None = None
         self._samples = 0  # consumed before this iteration
         self._started: Mapping[str, Any] = {}
         #: By observation which of actor and critic read it.
@@ -142,7 +144,25 @@ class Reinforcement(Job):
 
     def watch(self, run: Run | None, tell: Callable[[str], None]) -> None:
         self._faults = Faults(run, tell) if run is not None else None
+        self._tell = tell
         self._watch()
+
+    def _tell_of_first_decisions(self, episodes: Mapping[str, float]) -> None:
+        """Say once that each decision of an iteration failed an episode, and by which terms of its row `episodes`: most
+        often a limit is in another unit than its term's."""
+        control, tell = self.experiment.root.control, self._tell
+        if (
+            tell is None
+            or self.experiment.root.episode.seconds < 1.5 * control.decision / control.frequency
+        ):
+            return
+        self._tell = None
+        shares = {k.removeprefix("ended_by/"): v for k, v in episodes.items() if "ended_by/" in k}
+        terms = ", ".join(f"termination.terms.{name}" for name, share in shares.items() if share)
+        tell(
+            f"All {episodes['episodes']:.0f} episodes of an iteration failed at their first decision, by {terms or 'states that are unsound'}: "
+            "nothing can be learned so. Check the limits there, and their units."
+        )
 
     def _watch(self) -> None:
         """Have environment and learner report one fault each; none if nobody watches."""
@@ -182,6 +202,8 @@ class Reinforcement(Job):
             metrics |= self.sharpen()
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
+        if self._failing == 1.0 and self._tell is not None:
+            self._tell_of_first_decisions(episodes)
         refuse_negative(self.environment)
         self._hopeless.refuse(episodes, rollout.rewards.shape[0], self._unsound_parts)
         ended = _Moment(self.device)
@@ -313,6 +335,12 @@ class Reinforcement(Job):
         if difficulty != 1.0 and not self.has_difficulty():
             missed.append(
                 f"difficulty={difficulty:g} changes nothing: no part of this task reads it."
+            )
+        criterion = self.experiment.root.evaluation.criterion
+        if criterion is not None and success_of(self.experiment) is None:
+            missed.append(
+                f"evaluation.criterion={criterion:g} is never met: nothing in this task says whether an episode succeeded. Say it by "
+                "evaluation.success={measure: NAME, at_least: NUMBER}."
             )
         return [f"The policy reads {', '.join(seen) or 'no observation'}.", *missed]
 

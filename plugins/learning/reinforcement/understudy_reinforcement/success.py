@@ -59,6 +59,11 @@ def success_of(experiment: Experiment) -> Success | None:
             )
         return Success(f"survived {options.seconds:g} s without {', '.join(experiment.failures)}")
     experiment.need_measure(chosen.measure, "evaluation.success.measure")
+    least, most = chosen.at_least, chosen.at_most
+    if least is not None and most is not None and least > most:
+        raise ConfigError(
+            f"evaluation.success.at_least={least:g} is not possible: it is more than at_most={most:g}, and no episode would succeed."
+        )
     limits = [
         f"{word} {value:g}"
         for word, value in (("at least", chosen.at_least), ("at most", chosen.at_most))

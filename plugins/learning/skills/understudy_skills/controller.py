@@ -19,6 +19,7 @@ from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Wired, renamed
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.as_run import copy_run
+from understudy_skills.own_physics import tell_of_other_physics
 from understudy_skills.pack_inputs import PACKED, PackInputs
 from understudy_skills.skill import Skill, open_skill
 
@@ -125,6 +126,7 @@ class Controller(nn.Module):
                 f"{source} decides in every {control.decision}. control period, and is asked in each one here. Train that "
                 "run with control.decision=1."
             )
+        tell_of_other_physics(source, experiment, context)
         own = replace(
             context, sections=build_sections(experiment), inputs=experiment.inputs, _shared={}
         )

@@ -17,6 +17,7 @@ from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
 from understudy_amorphous.scene import PAN_RADIUS, AmorphousScene
 from understudy_amorphous.tool import LIMITS, orientation
+from understudy_tensors.limits import check_angle
 
 #: m, how far away what takes no part is.
 FAR = 50.0
@@ -102,8 +103,8 @@ class AroundGoal(InitialStates):
 
         def __post_init__(self) -> None:
             check_range(self, "distance", "goal_spread", "tool", most=1e3)
-            check_range(self, "facing", most=100)
-            check_range(self, "goal_spread", "facing", least=0)
+            check_angle(self, "facing", least=0)
+            check_range(self, "goal_spread", least=0)
             check_range(self, "spread", least=0, most=1)
             check_range(self, "goal", least=-1e3, most=1e3)
             for name in ("distance", "tool"):

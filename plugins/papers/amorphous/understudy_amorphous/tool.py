@@ -13,6 +13,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, Shape, box
 from understudy_tensors import rotations
+from understudy_tensors.limits import check_angle
 
 #: q = [x, y, z, φ, ψ, θ] (section 3.5): position in m, then turns about the tool's x, y and z axes.
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -89,10 +90,10 @@ class ToolTarget(Actuation):
 
         def __post_init__(self) -> None:
             check_range(self, "k_d", most=1e4)
-            check_range(self, "tilt", most=100)
+            check_angle(self, "tilt", least=0)
             check_range(self, "tilt_speed", most=1e3)
             check_range(self, "k_p", "tilt_speed", above=0)
-            check_range(self, "k_d", "tilt", least=0)
+            check_range(self, "k_d", least=0)
             _check_axes("reach", tuple(self.reach))
             _check_axes("limits", tuple(self.limits))
             for name, (low, high) in self.limits.items():

@@ -8,11 +8,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, box
 from understudy_chopsticks.plan import AHEAD, GRIPPER, gripping
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import tips
+from understudy_tensors.limits import check_angle
 
 #: The object as it is, and as it is planned.
 _OBJECT = ("object_state", "object_ahead")
@@ -108,7 +108,7 @@ class Offsets(Actuation):
         base: Literal["grip", "plan"] = "grip"
 
         def __post_init__(self) -> None:
-            check_range(self, "hand", "arm", least=0, most=100)
+            check_angle(self, "hand", "arm", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "actuation 'chopsticks/offsets'")

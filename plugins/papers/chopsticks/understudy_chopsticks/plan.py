@@ -23,6 +23,7 @@ from understudy_chopsticks.held_grip import Gripping
 from understudy_gripping.section import Grips
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
+from understudy_tensors.limits import check_angle
 from understudy_tool_planner.planner import DT
 
 #: How far ahead a policy sees the plan, s: six frames every 0.05 s (section 5.4.2).
@@ -172,7 +173,7 @@ class OpenAndClose(InitialStates):
         )
 
         def __post_init__(self) -> None:
-            check_range(self, "amplitude", most=100)
+            check_angle(self, "amplitude")
             for name in ("amplitude", "rate"):
                 low, high = getattr(self, name)
                 if not 0 <= low <= high:

@@ -19,7 +19,7 @@ from understudy_chopsticks.plan import gripping
 from understudy_gripping.holding import holding
 from understudy_hand.tools import GRIPPERS
 from understudy_tensors import rotations
-from understudy_tensors.limits import limits
+from understudy_tensors.limits import ANGLE, limits
 from understudy_tensors.segments import at, place_on_segment
 
 
@@ -214,7 +214,7 @@ def dropped(
     return (stick_distance > distance).any(dim=1)
 
 
-@limits(turn=(0, 100))
+@limits(turn=ANGLE)
 def turned(
     stick_turn: Tensor,
     *,

@@ -19,7 +19,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Encoder, Fields, InitialStates, Scene, box
-from understudy_tensors.limits import limits
+from understudy_tensors.limits import check_angle, limits
 from understudy_tensors.simulator import TensorSimulator
 
 START, RUN_UP = -1.05, 3.0  #: m, where take-offs are; m/s, how fast all are along x
@@ -111,7 +111,7 @@ class TakeOff(InitialStates):
             check_range(self, "climb", most=1e3)
             check_range(self, "climb", "noise", least=0)
             check_range(self, "spin", least=-1e3, most=1e3)
-            check_range(self, "lean", least=-100, most=100)
+            check_angle(self, "lean")
 
     def __init__(self, options: Options, context: Context) -> None:
         context.need_scene(VaultScene, "initial_states 'diversity/take_off'")

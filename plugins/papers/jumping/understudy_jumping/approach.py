@@ -20,7 +20,7 @@ from understudy_jumping.initial_states import EPISODE_FIELDS, Distance, athletes
 from understudy_jumping.run_up import takeoff_features
 from understudy_jumping.takeoff import Takeoff
 from understudy_tensors import rotations
-from understudy_tensors.limits import limits
+from understudy_tensors.limits import check_angle, limits
 
 
 class Approach(InitialStates):
@@ -55,7 +55,7 @@ class Approach(InitialStates):
         def __post_init__(self) -> None:
             check_range(self, "begin", least=0)
             check_range(self, "beside", least=-100, most=100)
-            check_range(self, "alpha", least=-100, most=100)
+            check_angle(self, "alpha")
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/approach'"

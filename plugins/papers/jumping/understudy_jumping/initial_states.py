@@ -20,6 +20,7 @@ from understudy_jumping.takeoff import POSES, Takeoff, takeoff_states
 from understudy_skills import bank
 from understudy_tensors import rotations
 from understudy_tensors.groups import Groups
+from understudy_tensors.limits import check_angle
 
 EPISODE_FIELDS: Mapping[str, Shape] = {
     "obstacle_height": (), "obstacle_width": (), "mat_height": (),
@@ -139,7 +140,7 @@ class Harvested(InitialStates):
         spread: float = 0.0
 
         def __post_init__(self) -> None:
-            check_range(self, "alpha", least=-100, most=100)
+            check_angle(self, "alpha")
             check_range(self, "spread", least=0, most=_FARTHEST)
 
     def __init__(self, options: Options, context: Context) -> None:

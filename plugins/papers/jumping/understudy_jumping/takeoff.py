@@ -20,6 +20,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy_characters.character import Character
 from understudy_tensors import rotations
+from understudy_tensors.limits import check_angle
 
 _FASTEST = 20.0
 """m/s, beyond any runner."""
@@ -44,7 +45,7 @@ class Takeoff:
         check_range(self, "forward", least=0, most=_FASTEST)
         check_range(self, "v_z", least=-_FASTEST, most=_FASTEST)
         check_range(self, "omega_x", "omega_y", "omega_z", least=-_TURNING, most=_TURNING)
-        check_range(self, "alpha", least=-100, most=100)
+        check_angle(self, "alpha")
 
     @property
     def features(self) -> tuple[float, ...]:

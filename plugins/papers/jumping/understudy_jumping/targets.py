@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import as_yaml, check_range
+from understudy.options import as_yaml
 from understudy.task import Actuation, Context, box
 from understudy_characters.scene import CharacterScene
 from understudy_characters.target_limits import Range, check_axes, servo_axes, target_limits
+from understudy_tensors.limits import ANGLE, check_angle, in_degrees
 
 #: rad, of the right side: about the axes forward, left and up of the zero pose for balls. Ours, from
 #: tables of the ranges of motion of athletes; the left side mirrors the first and the last axis.
@@ -44,11 +45,11 @@ class Targets(Actuation):
         rest: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
-            check_range(self, "margin", least=0, most=100)
+            check_angle(self, "margin", least=0)
             for joint, angles in self.rest.items():
-                if not all(abs(angle) <= 100 for angle in angles):
+                if (far := max(map(abs, angles), default=0.0)) > ANGLE[1]:
                     raise ValueError(
-                        f"rest.{joint}={as_yaml(angles)} is not possible: its rad lie between -100 and 100."
+                        f"rest.{joint}={as_yaml(angles)} is not possible: {in_degrees(far)}"
                     )
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -18,7 +18,7 @@ from understudy.task import Context, Encoder, Fields, InitialStates, Memory, Sha
 from understudy_morphology.assistance import torques
 from understudy_morphology.figure import FEET, TORSO
 from understudy_morphology.scene import ROOT_POSITIONS, WalkerScene
-from understudy_tensors.limits import limits
+from understudy_tensors.limits import ANGLE, limits
 from understudy_tensors.rotations import heading, tangent_normal
 
 
@@ -153,7 +153,7 @@ def normalised(
     return value / steps
 
 
-@limits(low=(0, 1), limit=(0, 100))
+@limits(low=(0, 1), limit=ANGLE)
 def fallen(
     height: Tensor,
     lean: Tensor,

@@ -15,11 +15,14 @@ from torch import Tensor
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError
+from understudy.setup.building import build_sections
 from understudy.setup.composition import load_experiment
+from understudy_motion.clip import Clip
 from understudy_play.command import add_page_arguments, film, record, serve
 from understudy_play.player import World
 from understudy_report.video import length, video_file
 from understudy_skills.skill import open_skill
+from understudy_tensors import rotations
 
 WALK, LEFT, RIGHT = 0, 1, 2
 #: rad, of the target's azimuth: from the first on it turns in place, until the second is reached. The
@@ -55,12 +58,9 @@ class Follower(World):
     def __init__(self, runs: Sequence[str], seed: int = 0) -> None:
         _count(runs)
         _check_walk(runs[0])
+        _check_turns(runs[1:])
         named = ",".join(QuotedString(run, Quote.single).with_quotes() for run in runs)
         experiment = load_experiment(["task=sitting/follow", f"actuation.runs=[{named}]"])
-        for run in runs[1:]:
-            open_skill(
-                run, without=("simulator",)
-            )  # else what it says of one that is none were advice, too
         try:
             super().__init__(f"walking to a target, {runs[0]}", experiment, seed)
         except ConfigError as error:  # it tells what to set, and nothing can be set here
@@ -150,6 +150,28 @@ def _check_walk(run: str) -> None:
         raise ConfigError(
             f"{run} does not see where it is to go, so it cannot be the walk. {_TAKES}"
         )
+
+
+def _check_turns(runs: Sequence[str]) -> None:
+    """Refuse as the turn to a side one whose clip turns to the other."""
+    for run, side, other, sign in zip(
+        runs, ("left", "right"), ("right", "left"), (1, -1), strict=False
+    ):
+        experiment = open_skill(run, without=("simulator",)).experiment
+        if "motion" not in experiment.sections:
+            continue
+        turned = sign * _turned(build_sections(experiment)["motion"].clip)
+        if turned < -_BEGIN_TO_TURN:
+            raise ConfigError(
+                f"{run} turns to the {other}, {math.degrees(-turned):.0f}° in its clip, and it is given as the turn to the "
+                f"{side}. The order is walk, turn_left, turn_right."
+            )
+
+
+def _turned(clip: Clip) -> float:
+    """rad by which the root of `clip` turns from its beginning to its end, to the left."""
+    steps = rotations.heading(clip.rotations[:, 0]).diff()
+    return float(rotations.wrapped(steps).sum())
 
 
 def _count(runs: Sequence[str]) -> None:

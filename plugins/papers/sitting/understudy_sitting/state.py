@@ -22,6 +22,7 @@ from understudy_characters.layout import XYZ, Layout
 from understudy_characters.scene import CharacterScene
 from understudy_sitting.chair import BODY, FEET, SEAT, SEATED, THICKNESS, Chair
 from understudy_tensors import rotations
+from understudy_tensors.limits import check_degrees
 
 #: Link of the humanoids that the paper calls root.
 TORSO = "chest"
@@ -256,7 +257,7 @@ class Seat(Fields):
         within: float | None = 0.25
 
         def __post_init__(self) -> None:
-            check_range(self, "upright", "facing", above=0, most=180)
+            check_degrees(self, "upright", "facing")
             check_range(self, "within", above=0, most=1e3)
 
     def __init__(self, options: Options, context: Context) -> None:

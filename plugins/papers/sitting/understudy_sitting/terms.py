@@ -11,7 +11,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context
 from understudy.task.terms import ranges
-from understudy_tensors.limits import limits
+from understudy_tensors.limits import DEGREES, limits
 from understudy_tensors.rotations import wrapped
 
 
@@ -157,7 +157,7 @@ def low(
     return torso_position[:, 2] < height
 
 
-@limits(degrees=(0, 180))
+@limits(degrees=DEGREES)
 def off_course(
     torso_angles: Tensor,
     reference_torso_angles: Tensor,

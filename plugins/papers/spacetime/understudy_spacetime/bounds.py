@@ -16,6 +16,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.task import Context
 from understudy_characters.scene import CharacterScene
 from understudy_tensors.knots import Knots
+from understudy_tensors.limits import ANGLE, in_degrees
 from understudy_tensors.rotations import angle_between
 
 Size = float | list[list[float]]
@@ -32,11 +33,17 @@ class BoundSize:
     Raises
     ------
     ConfigError
-        it is negative, or no knots with phases in [0, 1]; names the term `who`.
+        it is negative, or no knots with phases in [0, 1], or of an `angle` more than a whole turn; names the term `who`.
     """
 
     def __init__(
-        self, size: Size, who: str, device: torch.device, dtype: torch.dtype = torch.float32
+        self,
+        size: Size,
+        who: str,
+        device: torch.device,
+        dtype: torch.dtype = torch.float32,
+        *,
+        angle: bool = False,
     ) -> None:
         knots = [[0.0, size]] if isinstance(size, (int, float)) else size
         if not knots or any(len(knot) != 2 for knot in knots):
@@ -47,6 +54,8 @@ class BoundSize:
             raise ConfigError(
                 f"{who}: size={size} is not possible: sizes are 0 or more, and at most {_MOST:g}."
             )
+        if angle and (most := max(value for _, value in knots)) > ANGLE[1]:
+            raise ConfigError(f"{who}: size={size} is not possible: {in_degrees(most)}")
         if any(not 0.0 <= phase <= 1.0 for phase, _ in knots):
             raise ConfigError(f"{who}: size={size} is not possible: phases go from 0 to 1.")
         self._knots = Knots(sorted((phase, value) for phase, value in knots), device, dtype)
@@ -106,7 +115,7 @@ class RootBound:
         size: Size = 0.7  #: greatest angle, rad, from 0, or [[phase, rad], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._size = BoundSize(options.size, "spacetime/root_bound", context.device)
+        self._size = BoundSize(options.size, "spacetime/root_bound", context.device, angle=True)
 
     def __call__(
         self,
@@ -142,7 +151,7 @@ class JointBound:
                 raise ConfigError(
                     f"{who} needs '{name}': no joint '{name}'.{suggestion(name, names)}"
                 )
-        self._size = BoundSize(options.size, who, context.device)
+        self._size = BoundSize(options.size, who, context.device, angle=True)
         chosen = [names.index(name) for name in options.joints or names]
         self._chosen = (
             None if len(chosen) == len(names) else torch.tensor(chosen, device=context.device)

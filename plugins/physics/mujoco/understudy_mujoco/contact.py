@@ -29,6 +29,10 @@ _NO_NOSLIP = (
 )
 
 
+#: s and m: nothing that is walked on gives way for longer, or deeper.
+_SLOWEST, _DEEPEST = 1.0, 0.5
+
+
 @dataclass(frozen=True)
 class Contact:
     """What is null stays as the scene has it.
@@ -60,12 +64,22 @@ class Contact:
         check_range(self, "solref", most=1e3)
         if self.solref is not None and min(self.solref) <= 0:
             raise ValueError(f"solref={list(self.solref)} is not possible: both must be positive.")
+        if self.solref is not None and (slow := self.solref[0]) > _SLOWEST:
+            raise ValueError(
+                f"solref={list(self.solref)} is not possible: what touches would sink in for {slow:g} s; its first number is in "
+                f"seconds, at most {_SLOWEST:g}. If these are ms, give {slow / 1e3:g}."
+            )
         if self.solimp is not None:
             low, high, depth = self.solimp
             if not (0 < low <= high < 1 and depth > 0):
                 raise ValueError(
                     f"solimp={list(self.solimp)} is not possible: give two shares between 0 and 1, "
                     "the lower first, and a depth in metres."
+                )
+            if depth > _DEEPEST:
+                raise ValueError(
+                    f"solimp={list(self.solimp)} is not possible: its depth is in metres, at most {_DEEPEST:g}. If it is in mm, "
+                    f"give {depth / 1e3:g}."
                 )
 
     def apply(self, spec: mujoco.MjSpec) -> None:

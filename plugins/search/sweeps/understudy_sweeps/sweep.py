@@ -77,7 +77,7 @@ def sweep(overrides: Sequence[str]) -> int:
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
     first = loop.plan or [chosen.build(root.seed).ask(0)]
-    _check_ranges(loop.ranges, first[0], work)
+    _check_ranges(loop.ranges, first[0], work, at(chosen.effective(), "fidelity.option"))
     known, devices = _check(first, work, loop)
     gpu = next((device for device in sorted(devices) if device.startswith("cuda")), root.device)
     work = dataclasses.replace(work, device=gpu)  # which a variant alone may ask for
@@ -303,14 +303,29 @@ def _check(
     return set().union(*found) if all(found) else set(), devices
 
 
+_SEED = "and trials are to differ in what is searched, not by chance"
+_PLACE = "which says where and how a trial runs, not what it learns"
+_JUDGE = "which says how trials are judged, and those judged in other ways cannot be compared"
+#: What a search cannot mean, as options of the configuration, and why.
+_NOT_SEARCHED = {
+    re.compile(r"seed$"): _SEED,
+    re.compile(r"(device|run|checkpoint|simulator\.(device|threads))(\.|$)"): _PLACE,
+    re.compile(r"evaluation\.(seconds|success|objective|starts|failures)(\.|$)"): _JUDGE,
+}
+
+
 def _check_ranges(
-    ranges: Mapping[str, tuple[float, float]], trial: Trial | None, work: Work
+    ranges: Mapping[str, tuple[float, float]], trial: Trial | None, work: Work, fidelity: Any
 ) -> None:
-    """Refuse a search that goes beyond what an option can be: its trials there would fail one by one, and count as
+    """Refuse a search over what a search cannot mean, other than as its `fidelity`, and one that goes beyond what an option can be: its trials there would fail one by one, and count as
     what the search found. An end that cannot be only together with values of the others is no such thing."""
     if trial is None:
         return
     trial = dataclasses.replace(trial, start=None)  # what it begins with may not be there yet
+    for path in ranges:
+        why = next((why for named, why in _NOT_SEARCHED.items() if named.match(path)), "")
+        if why and path != fidelity:
+            raise ConfigError(f"This search takes {path}, {why}. Leave it out of what is searched.")
     ends = [(path, end) for path, both in ranges.items() for end in both]
     if not any(
         _refused({path: both[i] for path, both in ranges.items()}, trial, work) for i in (0, 1)
@@ -325,7 +340,7 @@ def _check_ranges(
         ]
         if named == [path]:
             low, high = ranges[path]
-            cure = "" if said.endswith("leave it out.") else " Give it another range."
+            cure = "" if said.lower().endswith("leave it out.") else " Give it another range."
             raise ConfigError(
                 f"This search takes {path} from {low:g} to {high:g}, and {said}{cure}"
             )
@@ -334,11 +349,15 @@ def _check_ranges(
 def _refused(point: Mapping[str, float], trial: Trial, work: Work) -> str | None:
     """Why the `trial` cannot be composed with these values in its point, or None if it can be."""
     try:
-        load_experiment(
+        experiment = load_experiment(
             overrides_of(dataclasses.replace(trial, point={**trial.point, **point}), work)
         )
     except ConfigError as error:
         return str(error)
+    effective = experiment.effective()
+    for path, value in point.items():
+        if isinstance(at(effective, path), str):
+            return f"{path}={value:g} is not possible: it takes a text, and a search chooses numbers. Leave it out."
     return None
 
 

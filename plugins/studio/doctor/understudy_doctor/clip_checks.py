@@ -14,6 +14,7 @@ from torch import Tensor
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity
 from understudy_motion.clip import Clip, cycle_transform
 from understudy_motion.editing import EVEN
+from understudy_motion.reading import SLOWEST_RATE
 from understudy_tensors import rotations
 
 __all__ = ["check_clip"]
@@ -163,6 +164,12 @@ def _frames(places: Places) -> Iterator[Finding]:
             f"the root stays in one place for {last - first + 1} frames while its joints go on, or "
             "makes up for it", (first, last), float(last - first + 1), "frames",
             "--fix OUT moves it steadily.", [clip.joint_names[0]],
+        )  # fmt: skip
+    if usual > 1.0 / SLOWEST_RATE:
+        yield places.finding(
+            "slow_frames", Severity.MAJOR,
+            f"its frames are {usual:.4g} s apart, so that it lasts {clip.duration:.4g} s", None, usual, "s",
+            f"If these are frames per second, write its times in seconds, or give --source-rate {usual:.4g}.",
         )  # fmt: skip
     yield from _too_fast(places)
     error, joint, frames = _interpolation_error(clip)

@@ -28,7 +28,7 @@ from understudy.setup.plugins import installed
 from understudy_characters.character import Character
 from understudy_characters.recording import chosen_character
 from understudy_export.command import timed
-from understudy_motion.arguments import add_reading, open_clip, positive
+from understudy_motion.arguments import add_reading, frame_rate, open_clip
 from understudy_motion.readers.angles import RATE
 
 
@@ -51,7 +51,7 @@ class ExportColumns(Command):
             "--for", dest="trainer", choices=sorted(TABLES), required=True, help="who reads it"
         )
         parser.add_argument(
-            "--rate", type=positive, default=RATE, metavar="HZ", help="frames per second (30)"
+            "--rate", type=frame_rate, default=RATE, metavar="HZ", help="frames per second (30)"
         )
         add_reading(parser)
 

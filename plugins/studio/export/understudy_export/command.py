@@ -28,7 +28,7 @@ from understudy_characters.recording import (
 from understudy_characters.shapes import bones, shapes
 from understudy_credits.walk import answer, in_a_line, open_made
 from understudy_export.figure import figure
-from understudy_motion.arguments import add_reading, open_clip, positive, refuse_reading
+from understudy_motion.arguments import add_reading, frame_rate, open_clip, positive, refuse_reading
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.kinematics import need_skeleton
 from understudy_motion.reading import metres_of
@@ -87,7 +87,7 @@ class Export(Command):
             help="the figure that is written: a character, an MJCF file, that of a run folder, or none for bones; by default "
             "the run's, or the one that the clip fits",
         )
-        parser.add_argument("--rate", type=positive, metavar="HZ", help="frames per second")
+        parser.add_argument("--rate", type=frame_rate, metavar="HZ", help="frames per second")
         length = parser.add_mutually_exclusive_group()
         length.add_argument(
             "--seconds",
@@ -302,6 +302,10 @@ def timed(
     rate = rate or clip.frame_rate
     if seconds is None and clip.loop:
         check_frames(clip, clip.duration * rate, CURE)
+        if round(clip.duration * rate) < 2:
+            raise FileError(
+                f"Clip {clip.source}: a cycle of {clip.duration:.4g} s at {rate:g} Hz is one pose; give a higher --rate."
+            )
         return resample(clip, rate)
     length = min(seconds or clip.duration, math.inf if clip.loop else clip.duration)
     check_frames(clip, length * rate, CURE)
