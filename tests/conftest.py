@@ -40,7 +40,7 @@ gc.disable()  # of the million objects that imports make hardly one goes
 def pytest_collection_finish() -> None:
     """What is there stays to the end: not to be gone through again and again."""
     gc.freeze()
-    gc.set_threshold(20_000, 20, 20)
+    gc.set_threshold(100_000, 50, 20)
     gc.enable()
 
 
