@@ -8,10 +8,13 @@ are its own. What asks how an interpreter starts takes :func:`subprocess.run` it
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import json
 import os
 import runpy
+import select
+import signal
 import socket
 import subprocess
 import sys
@@ -76,7 +79,7 @@ def run(
 
 
 def _serve() -> None:
-    """The server: a fork for each request, and one that waits for it."""
+    """The server: a fork for each request."""
     import mujoco  # noqa: F401
     import numpy  # noqa: F401
     import scipy.spatial  # noqa: F401
@@ -86,44 +89,49 @@ def _serve() -> None:
     import understudy_mujoco.apart
     import understudy_mujoco.mjcf  # noqa: F401
 
-    requests = socket.socket(fileno=os.dup(0))
+    requests, (woken, wakes) = socket.socket(fileno=os.dup(0)), socket.socketpair()
+    wakes.setblocking(False)
+    signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    signal.set_wakeup_fd(wakes.fileno(), warn_on_full_buffer=False)
+    running: dict[int, socket.socket] = {}
     while True:
+        ready, _, _ = select.select([requests, woken], [], [])
+        if woken in ready:
+            woken.recv(_MESSAGE)
+            _tell_of_ends(running)
+        if requests not in ready:
+            continue
         asked, files, *_ = socket.recv_fds(requests, _MESSAGE, _FOUR_FILES)
         if not asked:
             return
-        if os.fork() == 0:
-            _watch(asked, files)
-        for file in files:
-            os.close(file)
-        _reap()
-
-
-def _reap() -> None:
-    try:
-        while os.waitpid(-1, os.WNOHANG)[0]:
-            pass
-    except ChildProcessError:
-        pass
-
-
-def _watch(asked: bytes, files: list[int]) -> NoReturn:
-    child = os.fork()
-    if child == 0:
-        _become(files[:3], *json.loads(asked))
-    with socket.socket(fileno=files[3]) as told:
+        child = os.fork()
+        if child == 0:
+            _become(files[:3], *json.loads(asked))
+        running[child] = told = socket.socket(fileno=files[3])
         told.send(child.to_bytes(8, "little"))
-        _, status = os.waitpid(child, 0)
-        told.send(status.to_bytes(8, "little"))
-    os._exit(0)
+        for file in files[:3]:
+            os.close(file)
+
+
+def _tell_of_ends(running: dict[int, socket.socket]) -> None:
+    """Say of each process that ended how it did, to whoever asked for it."""
+    while running:
+        child, status = os.waitpid(-1, os.WNOHANG)
+        if child == 0:
+            return
+        with contextlib.suppress(BrokenPipeError), running.pop(child) as told:
+            told.send(status.to_bytes(8, "little"))
 
 
 def _become(
     files: list[int], module: str, arguments: list[str], environment: dict[str, str], folder: str
 ) -> NoReturn:
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     os.setsid()
     for stream, file in enumerate(files):
         os.dup2(file, stream)
-    os.closerange(3, max(files) + 2)
+    os.closerange(3, 1024)
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)

@@ -89,13 +89,9 @@ class Environment:
     """
 
     def __init__(
-        self,
-        parts: Parts,
-        context: Context,
-        *,
-        episode_seconds: float,
+        self, parts: Parts, context: Context, *, episode_seconds: float,
         known_fields: Callable[[str], Sequence[str]] = lambda name: (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.parts, self._context = parts, context
         num_worlds, device, seed = context.num_worlds, context.device, context.seed
         self.num_worlds, self.device, self.control_dt = num_worlds, device, context.control_dt
@@ -426,12 +422,9 @@ class Environment:
         )
         self._streams.give_back(~worlds, before)  # what a world draws depends on no other world
         given |= initial
-        promises.check_initial(
-            parts,
-            self.num_worlds,
-            [n for n in self._varied if n not in self._model or n in parts.initial_states.varies],
-            given,
-        )
+        varied = parts.initial_states.varies
+        anew = [n for n in self._varied if n not in self._model or n in varied]
+        promises.check_initial(parts, self.num_worlds, anew, given)
         self._hold(worlds, initial)
         simulator, given = parts.simulator, {**self._model, **given}
         simulator.set_state(worlds, {n: given[n] for n in (*simulator.state_fields, *self._varied)})

@@ -54,12 +54,8 @@ def check(num_worlds: int, who: str, value: Tensor, shape: Shape) -> None:
 
 
 def returned(
-    num_worlds: int,
-    where: str,
-    shapes: Mapping[str, Shape],
-    given: Mapping[str, Tensor],
-    what: str = "",
-) -> None:
+    num_worlds: int, where: str, shapes: Mapping[str, Shape], given: Mapping[str, Tensor], what: str = ""
+) -> None:  # fmt: skip
     """Raise :class:`ConfigError` unless all that has a shape is given, and has it."""
     for name, shape in shapes.items():
         if name not in given:

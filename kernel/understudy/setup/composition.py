@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import dataclasses
 import functools
 import re
@@ -14,11 +13,10 @@ from typing import Any
 
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
-from understudy.options import as_yaml, each, items, plain
+from understudy.options import as_yaml, items, plain
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import MARK, compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
@@ -45,7 +43,7 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         _check(override, plugins)
     try:
         yield
-    except (HydraException, OmegaConfBaseException, ValueError, RecursionError) as error:
+    except (HydraException, OmegaConfBaseException, ValueError, TypeError, RecursionError) as error:
         raise ConfigError(_plain(error, plugins, overrides) + plugins.registry.absent()) from error
 
 
@@ -315,11 +313,9 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         folders = [folder for _, folder in plugins.folders()]
-        config = compose(folders, for_hydra(kept, plugins), own=chosen)
-        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-    refuse_code(raw)
-    # Leaves are copied, since two keys that share one (``${…}``) may have different types.
-    given = each(raw, copy.copy) | dict.fromkeys(emptied)
+        given = compose(folders, for_hydra(kept, plugins), own=chosen)
+    refuse_code(given)
+    given |= dict.fromkeys(emptied)
     for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
     with contextlib.suppress(UnderstudyError):  # which notes what is taken as text

@@ -24,6 +24,7 @@ from understudy.setup.root import KEYS
 from understudy.signals import is_stop
 
 __all__ = ["Component", "Registrar", "Registry"]
+_signature = functools.lru_cache(1024)(inspect.signature)  # every environment asks again
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class Component:
         says in what it differs from `like`, the interface of its kind."""
         factory, kinds = self.factory, ", ".join(type(item).__name__ for item in given)
         try:
-            inspect.signature(factory).bind(*given)
+            _signature(factory).bind(*given)
         except (TypeError, ValueError) as error:
             raise self.fault(f"is not made of ({kinds}): {said(error)}") from error
         if abstract := ", ".join(sorted(getattr(factory, "__abstractmethods__", ()))):

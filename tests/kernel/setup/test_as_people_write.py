@@ -129,6 +129,7 @@ def test_a_number_is_one_whatever_stands_before_its_key(word: str) -> None:
         (["run.dir=${budget.nothing}"], "${budget.nothing} takes the value of a key, and there is none of this name."),
         (["run.dir=a${b"], "run.dir='a${b' cannot be read: what follows ${ is no name of a key, or } is missing."),
         (["run.dir=${}"], "run.dir='${}' cannot be read: what follows ${ is no name of a key, or } is missing."),
+        (["experiment=miniature/go", "policy.hidden.x.y=3"], "A list has no 'x'. Give the whole list, or the number of a place in it."),
         (["learner-gamma=0.9"], "There is no configuration key 'learner-gamma'. Did you mean 'learner'?"),
     ],
 )  # fmt: skip
