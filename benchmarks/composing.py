@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, open_dict
 
 from understudy.errors import ConfigError
 from understudy.setup import composition, option_files
@@ -24,22 +24,22 @@ from understudy.setup.plugins import installed
 
 def hydras(
     folders: Iterable[Path], overrides: Sequence[str], own: Collection[str] = ()
-) -> dict[str, Any]:
+) -> DictConfig:
     """What Hydra's public interface composes; of the groups `own` what it composes of them alone."""
     first, *others = folders = list(folders)
     path = ",".join(f"'file://{folder}'" for folder in others)
     with hydra.initialize_config_dir(str(first), version_base="1.3", job_name="understudy"):
-        composed = hydra.compose("config", overrides=[f"hydra.searchpath=[{path}]", *overrides])
-    found: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=False)
+        found = hydra.compose("config", overrides=[f"hydra.searchpath=[{path}]", *overrides])
     if own:
         theirs = [o for o in overrides if o.lstrip("+").partition("=")[0].split(".")[0] in own]
         alone = hydras(folders, theirs)
-        found.update({key: alone[key] for key in own})
+        with open_dict(found):
+            found.update({key: alone[key] for key in own})
     return found
 
 
 def seconds(
-    overrides: Sequence[str], compose: Callable[..., dict[str, Any]]
+    overrides: Sequence[str], compose: Callable[..., DictConfig]
 ) -> tuple[float, dict[str, Any]]:
     """Processor time of composing again what was composed just before, and the result."""
     composition.compose = compose  # type: ignore[attr-defined]

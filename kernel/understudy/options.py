@@ -43,7 +43,6 @@ class Option:
 
 
 REQUIRED: Any = inspect.Parameter.empty
-_LEAVES = {str, int, float, bool, type(None)}  #: of most leaves of options, the types
 _hints = functools.lru_cache(1024)(typing.get_type_hints)  # every experiment asks again
 
 
@@ -156,8 +155,6 @@ def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
 def items(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Every key path in nested plain data, and its value."""
     yield path, value
-    if type(value) in _LEAVES:
-        return
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from items(item, f"{path}.{key}".lstrip("."))
@@ -175,8 +172,6 @@ def at(value: Any, path: str) -> Any:
 
 def each(value: Any, change: Callable[[Any], Any]) -> Any:
     """The nested `value` with `change` applied to every leaf, what is neither mapping nor list."""
-    if type(value) in _LEAVES:  # which most are, and isinstance takes longer
-        return change(value)
     if isinstance(value, Mapping):
         return {str(key): each(item, change) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -210,8 +205,12 @@ def as_yaml(value: Any) -> str:
 
 
 _WORDS = {
-    int: "a whole number", float: "a number", str: "text", bool: "true or false", Any: "anything"
-}  # fmt: skip
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    Any: "anything",
+}
 
 
 def in_words(annotation: Any) -> str:
@@ -257,8 +256,12 @@ def filled(schema: type, checked: Mapping[str, Any], where: str) -> Any:
 
 
 def check_range(
-    options: Any, *names: str, above: float | None = None, least: float | None = None, most: float | None = None
-) -> None:  # fmt: skip
+    options: Any,
+    *names: str,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+) -> None:
     """For the ``__post_init__`` of a dataclass of options: a ValueError unless each of the options
     `names` is None, or is greater than `above`, at least `least` and at most `most`; so is each
     value of a tuple or a mapping. Without a `most`, a whole number with a `least`, which is a size

@@ -89,9 +89,13 @@ class Environment:
     """
 
     def __init__(
-        self, parts: Parts, context: Context, *, episode_seconds: float,
+        self,
+        parts: Parts,
+        context: Context,
+        *,
+        episode_seconds: float,
         known_fields: Callable[[str], Sequence[str]] = lambda name: (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.parts, self._context = parts, context
         num_worlds, device, seed = context.num_worlds, context.device, context.seed
         self.num_worlds, self.device, self.control_dt = num_worlds, device, context.control_dt

@@ -54,8 +54,12 @@ def check(num_worlds: int, who: str, value: Tensor, shape: Shape) -> None:
 
 
 def returned(
-    num_worlds: int, where: str, shapes: Mapping[str, Shape], given: Mapping[str, Tensor], what: str = ""
-) -> None:  # fmt: skip
+    num_worlds: int,
+    where: str,
+    shapes: Mapping[str, Shape],
+    given: Mapping[str, Tensor],
+    what: str = "",
+) -> None:
     """Raise :class:`ConfigError` unless all that has a shape is given, and has it."""
     for name, shape in shapes.items():
         if name not in given:

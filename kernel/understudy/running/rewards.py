@@ -17,8 +17,12 @@ class Rewards:
     """Combines the values of reward terms; keeps the least value of each that has an exponent."""
 
     def __init__(
-        self, terms: Sequence[Term], combine: Literal["sum", "product"], num_worlds: int, device: torch.device
-    ) -> None:  # fmt: skip
+        self,
+        terms: Sequence[Term],
+        combine: Literal["sum", "product"],
+        num_worlds: int,
+        device: torch.device,
+    ) -> None:
         self._terms, self._summed = terms, combine == "sum"
         #: By term of a product with an exponent: its least value so far, (N,).
         self.least = {

@@ -84,10 +84,15 @@ def build_scene(experiment: Experiment, sections: Mapping[str, Any] | None = Non
 
 
 def build_environment(
-    experiment: Experiment, *, num_worlds: int | None = None, episode_seconds: float | None = None,
-    scene: Scene | None = None, sections: dict[str, Any] | None = None, evaluating: bool = False,
+    experiment: Experiment,
+    *,
+    num_worlds: int | None = None,
+    episode_seconds: float | None = None,
+    scene: Scene | None = None,
+    sections: dict[str, Any] | None = None,
+    evaluating: bool = False,
     substeps: int | None = None,
-) -> Built:  # fmt: skip
+) -> Built:
     """Build the environment of `experiment`; keyword arguments replace its own values.
 
     When `evaluating`, the curriculum is at the target difficulty, and failure terms that

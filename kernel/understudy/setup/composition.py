@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import functools
 import re
@@ -13,10 +14,11 @@ from typing import Any
 
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
-from understudy.options import as_yaml, items, plain
+from understudy.options import as_yaml, each, items, plain
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import MARK, compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
@@ -313,9 +315,11 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         folders = [folder for _, folder in plugins.folders()]
-        given = compose(folders, for_hydra(kept, plugins), own=chosen)
-    refuse_code(given)
-    given |= dict.fromkeys(emptied)
+        config = compose(folders, for_hydra(kept, plugins), own=chosen)
+        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
+    refuse_code(raw)
+    # Leaves are copied, since two keys that share one (``${…}``) may have different types.
+    given = each(raw, copy.copy) | dict.fromkeys(emptied)
     for path in sorted(path for path, value in items(given) if value == "???"):
         raise ConfigError(_not_set(path, overrides, plugins))
     with contextlib.suppress(UnderstudyError):  # which notes what is taken as text

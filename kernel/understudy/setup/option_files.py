@@ -10,7 +10,6 @@ import contextlib
 import copy
 import functools
 import os
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +27,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf._utils import get_yaml_loader
 
 from understudy.errors import ConfigError
-from understudy.options import as_typed, each, items, plain
+from understudy.options import as_typed, each, plain
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
@@ -41,10 +40,8 @@ Version = tuple[str, int, int, int]
 #: What was read of each: which files it builds on, and its other content.
 _read: dict[Version, tuple[ConfigResult, dict[str, Any]]] = {}
 #: What was merged, by folders, overrides that choose files, and groups that stand alone: the
-#: versions of all files that were asked for, the result, and whether it refers to itself (``${…}``).
-_merged: dict[tuple[str | None, ...], tuple[dict[str, Version | None], dict[str, Any], bool]] = {}
-#: Words that refer to others or to nothing, and keys with an index or an empty name.
-_UNUSUAL = re.compile(r"\$\{|\?{3}|^[^=]*(\[|\.\.|\.=|^\+*\.)")
+#: versions of all files that were asked for, and the result.
+_merged: dict[tuple[str | None, ...], tuple[dict[str, Version | None], DictConfig]] = {}
 #: Marks a number on the command line whose text is kept beside its value.
 MARK = "\ue000"
 
@@ -82,7 +79,7 @@ class OptionFiles(ConfigRepository):
 
     def load_config(self, config_path: str) -> ConfigResult | None:
         found, _ = self._found(config_path) or (None, {})
-        return found and replace(found, defaults_list=[*map(copy.copy, found.defaults_list or ())])
+        return found and replace(found, defaults_list=copy.deepcopy(found.defaults_list))
 
     def content(self, default: ResultDefault) -> dict[str, Any]:
         """The content of the chosen file, at the place where it goes."""
@@ -132,9 +129,9 @@ def choices(files: OptionFiles, overrides: Sequence[str]) -> DefaultsList:
 
 def compose(
     folders: Iterable[Path], overrides: Sequence[str], own: Collection[str] = ()
-) -> dict[str, Any]:
-    """What Hydra composes from the files in `folders`, as plain data, with Hydra's errors; a number
-    whose value loses how it was typed is a :class:`understudy.options.Typed` of its own.
+) -> DictConfig:
+    """What Hydra composes from the files in `folders`, with Hydra's errors; a number whose value
+    loses how it was typed is a :class:`understudy.options.Typed`.
 
     Of the groups `own`, only their own files count. A component that an override names
     (``policy={name: …}``) replaces what is there; Hydra would merge the two.
@@ -144,50 +141,22 @@ def compose(
     values = Overrides(files, read).config_overrides
     chosen = (o.input_line for o in read if o not in values)
     key = (*(s.path for s in files.sources), None, *chosen, None, *sorted(own))
-    versions, content, refers = _merged.get(key, ({}, None, False))
-    if content is None or any(files.version(name) != old for name, old in versions.items()):
-        content = {}
+    versions, config = _merged.get(key, ({}, None))
+    if not config or any(files.version(name) != old for name, old in versions.items()):
+        content: dict[str, Any] = {}
         for default in choices(files, overrides).defaults:
             others = {key for key in own if not str(default.config_path).startswith(f"{key}/")}
             said = files.content(default)
             content = _laid(content, {k: v for k, v in said.items() if k not in others})
-        refers = any(isinstance(value, str) and "${" in value for _, value in items(content))
-        _merged[key] = files.versions, content, refers
-    values = [replace(o, _value=each(o.value(), _number)) for o in values]
-    found = each(content, copy.copy)
-    if refers or not all(_sets(override, found) for override in values):  # OmegaConf takes longer
         config = OmegaConf.create(content, flags={"allow_objects": True, "struct": True})
-        for override in values:
-            if _named(override.value()) and not override.is_delete():
-                OmegaConf.update(config, override.key_or_group, {}, merge=False, force_add=True)
-            ConfigLoaderImpl._apply_overrides_to_config([override], config)
-        resolved = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-        found = each(
-            resolved, copy.copy
-        )  # two keys that share a leaf (``${…}``) may differ in type
-    return found
-
-
-def _named(value: Any) -> bool:
-    return isinstance(value, Mapping) and "name" in value
-
-
-def _sets(override: Override, within: dict[str, Any]) -> bool:
-    """Set `within` plain data what the override sets; False if that is for OmegaConf to do or refuse."""
-    *above, last = (override.key_or_group or "").split(".")
-    new, forced, said = override.value(), override.is_force_add(), str(override.input_line)
-    if override.is_add() or override.is_delete() or override.package or _UNUSUAL.search(said):
-        return False
-    for key in above:
-        if forced and not isinstance(within.get(key), (dict, list)):
-            within[key] = {}
-        if not isinstance(inside := within.get(key), dict):
-            return False
-        within = inside
-    merges = isinstance(new, dict) or isinstance(within.get(last), dict)
-    if able := (forced or last in within) and (_named(new) or not merges):
-        within[last] = new
-    return able
+        _merged[key] = files.versions, config
+    config = copy.deepcopy(config)
+    for override in values:
+        value = each(override.value(), _number)
+        if isinstance(value, Mapping) and "name" in value and not override.is_delete():
+            OmegaConf.update(config, override.key_or_group, {}, merge=False, force_add=True)
+        ConfigLoaderImpl._apply_overrides_to_config([replace(override, _value=value)], config)
+    return config
 
 
 def _laid(old: Any, new: Any) -> Any:

@@ -82,8 +82,14 @@ class Term:
 
 
 def make_term(
-    where: str, name: str, function: Callable[..., Any], options: Mapping[str, Any], *, reads: Mapping[str, str], **counts: Any
-) -> Term:  # fmt: skip
+    where: str,
+    name: str,
+    function: Callable[..., Any],
+    options: Mapping[str, Any],
+    *,
+    reads: Mapping[str, str],
+    **counts: Any,
+) -> Term:
     """The term `name` of `function`, whose parameters `reads` may rename."""
     parameters = parameters_of(function)
     wired = renamed(where, "reads", tuple(parameters), reads)

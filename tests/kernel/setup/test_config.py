@@ -8,6 +8,7 @@ from typing import Any, Literal
 import counted_task
 import pytest
 from counted_task import LINE_TASK, install, line_plugins
+from omegaconf import OmegaConf
 from worlds import SMALL, make_training
 
 from understudy.command.cli import main
@@ -406,7 +407,7 @@ def test_a_file_of_options_takes_what_is_typed(word: str, tmp_path: Path) -> Non
         f"dir: {word}\nlist: [{word}, x]\n{word}: y\nagain: ${{dir}}\nwithin: a/${{dir}}.b\nrate: 1e-3\n"
         f"choice: {word}\nflag: on\n"
     )
-    found = compose([tmp_path], ["+x=3"])
+    found = OmegaConf.to_container(compose([tmp_path], ["+x=3"]), resolve=True)
     kinds = {"dir": str, "list": list[str], "again": str, "within": str, "rate": float,
              "choice": Literal["a", word], "x": int, "flag": bool}  # fmt: skip
     within = {"true": "True"}.get(

@@ -10,6 +10,7 @@ import lazy_choices
 import pytest
 from hydra.core.default_element import ResultDefault
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError
@@ -90,8 +91,8 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
 
     def x(*overrides: str) -> object:
         composed = compose(folders, overrides)
-        composed["part"]["x"] += 100  # nothing of it is seen by the next
-        return composed["part"]["x"] - 100
+        composed.part.x += 100  # nothing of it is seen by the next
+        return composed.part.x - 100
 
     assert [x(), x(), x("part.x=7"), x("part=b"), x("part=b", "part.x=8"), x()] == [
         1,
@@ -107,10 +108,10 @@ def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path
     assert [x(), x("part=b")] == [4, 2]
     (tmp_path / "first" / "part" / "a.yaml").unlink()
     assert x() == 33
-    assert compose(folders, ["+other=c"])["other"] == "c"
+    assert compose(folders, ["+other=c"]).other == "c"
     (tmp_path / "first" / "other").mkdir()
     (tmp_path / "first" / "other" / "c.yaml").write_text("z: 1\n")
-    assert compose(folders, ["+other=c"])["other"] == {"z": 1}
+    assert compose(folders, ["+other=c"]).other == {"z": 1}
 
 
 def test_groups_of_their_own_are_merged_apart(tmp_path: Path) -> None:
@@ -118,8 +119,8 @@ def test_groups_of_their_own_are_merged_apart(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("defaults: [part: a, _self_]\npart: {y: 2}\n")
     (tmp_path / "part" / "a.yaml").write_text("x: 1\n")
     for _ in range(2):
-        assert compose([tmp_path], ["part=a"])["part"] == {"x": 1, "y": 2}
-        assert compose([tmp_path], ["part=a"], own={"part"})["part"] == {"x": 1}
+        assert compose([tmp_path], ["part=a"]).part == {"x": 1, "y": 2}
+        assert compose([tmp_path], ["part=a"], own={"part"}).part == {"x": 1}
 
 
 def test_files_are_merged_once_for_all_values(
@@ -128,15 +129,15 @@ def test_files_are_merged_once_for_all_values(
     """Overrides that choose no file take nothing but time for what they set."""
     folders = [folder for _, folder in plugins.folders()]
     walk = ["experiment=spacetime/walk", "policy=mlp"]
-    before = plain(compose(folders, walk))
+    before = OmegaConf.to_container(compose(folders, walk))
 
     def again(*_: object) -> None:
         raise AssertionError("files were chosen anew")
 
     monkeypatch.setattr(option_files, "choices", again)
     first, second = (compose(folders, [*walk, f"++seed={seed}"]) for seed in (5, 6))
-    assert (first["seed"], second["seed"]) == (5, 6)
-    assert plain(compose(folders, walk)) == before
+    assert (first.seed, second.seed) == (5, 6)
+    assert OmegaConf.to_container(compose(folders, walk)) == before
     with pytest.raises(AssertionError, match="anew"):
         compose(folders, ["experiment=spacetime/walk", "policy=spacetime/dynamic"])
 
@@ -151,51 +152,8 @@ def test_files_are_merged_once_for_all_values(
 )
 def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
     folders = [folder for _, folder in plugins.folders()]
-    assert plain(compose(folders, overrides)) == hydras(folders, overrides)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        [], ["a=2"], ["++a=2"], ["+a=2"], ["+b=2"], ["b=2"], ["++new.x.y=2"], ["new.x=2"], ["m.x=2"], ["++m.new=2"],
-        ["++m.x.new=2"], ["m={x: 5}"], ["++m={z: 5}"], ["++m={name: p}", "++m.q=1"], ["+m={name: p}"], ["m=3"], ["++m=[1]"],
-        ["++list=[9]"], ["++list={a: 1}"], ["++list.0=5"], ["++list[0]=5"], ["list.7=5"], ["~a"], ["~m.x=1"],
-        ["~nosuch"], ["++none.x=1"], ["none.x=1"], ["none={x: 1}"], ["++a='${m.x}'"], ["m.x='${a}'", "a=8"], ["++a=${nosuch}"],
-        [r"++a='\${b}'"], ["++a=???"], ["++m={name: p, x: ???}"], ["++a..b=1"], ["++.a=1"], ["++a.=1"], ["a@b=1"], ["m/x=1"],
-        ["a=4", "nosuch=1"], ["++deep.er.name=null"], ["++deep={er: {name: null}}"], ["deep.er=null", "++deep.er.x=1"],
-    ],
-    ids=str,
-)  # fmt: skip
-@pytest.mark.parametrize("refers", [False, True])
-def test_values_are_what_omegaconf_makes_of_them(
-    words: list[str], refers: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Errors included; most are set without it, which is quicker."""
-    more = "r: '${m.x}'\n" * refers
-    text = f"a: 1\nm: {{x: 1, y: [1, 2]}}\nlist: [1, {{x: 2}}]\nnone: null\ndeep: {{er: {{name: q}}}}\n{more}"
-    (tmp_path / "config.yaml").write_text(text)
-    found = composed(tmp_path, words)
-    monkeypatch.setattr(option_files, "_sets", lambda override, within: False)
-    assert found == composed(tmp_path, words)
-
-
-def test_values_are_mostly_set_without_omegaconf(
-    plugins: Plugins, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def slowly(*_: object, **__: object) -> None:
-        raise AssertionError("OmegaConf was asked")
-
-    monkeypatch.setattr(option_files.ConfigLoaderImpl, "_apply_overrides_to_config", slowly)
-    folders = [folder for _, folder in plugins.folders()]
-    words = [
-        "experiment=spacetime/walk",
-        "++seed=3",
-        "++num_worlds=7",
-        "++policy={name: mlp, hidden: [8]}",
-    ]
-    found = plain(compose(folders, words))
-    assert (found["seed"], found["num_worlds"]) == (3, 7)
-    assert found["policy"] == {"name": "mlp", "hidden": [8]}
+    ours = OmegaConf.to_container(compose(folders, overrides))
+    assert plain(ours) == OmegaConf.to_container(hydras(folders, overrides))
 
 
 def test_a_choice_may_follow_another(tmp_path: Path) -> None:
@@ -207,8 +165,9 @@ def test_a_choice_may_follow_another(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("defaults: [part: a, other: '${part}', _self_]\n")
     for overrides, other in (([], "other-a"), (["part=b"], "other-b"), ([], "other-a")):
         found = compose([tmp_path], overrides)
-        assert found["other"]["x"] == other
-        assert found == hydras([tmp_path, tmp_path], overrides)
+        assert found.other.x == other
+        plain = OmegaConf.to_container(found)
+        assert plain == OmegaConf.to_container(hydras([tmp_path, tmp_path], overrides))
 
 
 def test_a_default_may_be_named_by_another_groups_choice(tmp_path: Path) -> None:
@@ -217,15 +176,15 @@ def test_a_default_may_be_named_by_another_groups_choice(tmp_path: Path) -> None
         for name, value in (("a", 1), ("b", 2)):
             (tmp_path / group / f"{name}.yaml").write_text(f"x: {value}\n")
     (tmp_path / "config.yaml").write_text("defaults: [one: a, other: '${one}', _self_]\n")
-    assert compose([tmp_path], [])["other"]["x"] == 1
-    assert compose([tmp_path], ["one=b"])["other"]["x"] == 2
+    assert compose([tmp_path], []).other.x == 1
+    assert compose([tmp_path], ["one=b"]).other.x == 2
 
 
 def composed(folder: Path, overrides: list[str]) -> object:
     """What is composed of the files in `folder`, or the error that says why nothing is."""
     option_files._merged.clear()
     try:
-        return compose([folder], overrides)
+        return OmegaConf.to_container(compose([folder], overrides))
     except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
         return f"{type(error).__name__}: {error}"
 
