@@ -27,10 +27,14 @@ NEAR = "initial_states.spread=[0.0,0.0]"
 
 @pytest.fixture(scope="module")
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run = tmp_path_factory.mktemp("rounded") / "run"
+    return trained(tmp_path_factory.mktemp("rounded") / "run")
+
+
+def trained(run: Path, *words: str) -> Path:
     words = (
         "experiment=miniature/go",
         *FAR,
+        *words,
         *miniatures.QUICK,
         *miniatures.AT_ONCE,
         "evaluation.seconds=2.4",
@@ -124,6 +128,21 @@ def test_easier_starts_of_the_pack_hide_nothing(untrained: Path, tmp_path: Path)
     assert card["evaluation"]["success_rate"] == 1.0
     assert card["weights"]["compared"]["second"] < 0.8
     assert packed(run, tmp_path / "more.json", NEAR)["kept"] == torch.int16
+
+
+def test_starts_from_which_nothing_succeeds_compare_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From too far off no bits are better than others, so the pack's starts tell."""
+    hopeless = trained(tmp_path / "hopeless", "initial_states.spread=[90.0,90.0]")
+    run = with_a_weight_of(300.0, hopeless, tmp_path / "run")
+    capsys.readouterr()
+    card = packed(run, tmp_path / "near.json", "initial_states.spread=[4.0,4.0]")
+    printed = capsys.readouterr()
+    assert "from the pack's starts, since from its own it has too little to lose" in printed.err
+    assert "too few successes to show a loss" in printed.out.splitlines()[0]
+    assert card["kept"] == torch.int16
+    assert card["weights"]["compared"]["first"] > 0.9
 
 
 def test_starts_that_do_not_go_with_the_rest_are_said(

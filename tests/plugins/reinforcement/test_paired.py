@@ -87,3 +87,17 @@ def test_what_went_wrong_is_the_least() -> None:
 
 def test_where_single_episodes_are_unknown_nothing_is_paired() -> None:
     assert Paired.of_evaluations(Evaluation(4), Evaluation(4)) is None
+
+
+@pytest.mark.parametrize(
+    ("successes", "starts", "can"),
+    [(0, 32, False), (4, 32, False), (5, 32, True), (0, 2, False), (1, 2, True)],
+)
+def test_who_succeeds_nowhere_loses_nothing(successes: int, starts: int, can: bool) -> None:
+    """Of 32 starts five must be lost before it shows."""
+    values = [1.0] * successes + [0.0] * (starts - successes)
+    paired = pair(found(values), found([0.0] * starts))
+    assert paired.can_fall == can
+    assert ("too few successes to show a loss" in paired.sentence()) != can
+    assert not paired.falls or can
+    assert pair(found([0.0] * starts, "reached"), found([0.0] * starts, "reached")).can_fall

@@ -62,6 +62,12 @@ class Paired:
         return cls(of, len(pairs), means[0], means[1], worse, better, chance)
 
     @property
+    def can_fall(self) -> bool:
+        """Whether a loss could be told from chance: who succeeds from too few starts has too little to lose."""
+        needed = FEWEST if self.starts >= FEWEST else 1
+        return self.of != "success" or round(self.first * self.starts) >= needed
+
+    @property
     def falls(self) -> bool:
         """Whether the second one is worse by more than chance."""
         least = 0.0 if self.of == "success" else SMALL * abs(self.first)
@@ -83,6 +89,8 @@ class Paired:
             return f"{text}, a loss" + (
                 "" if self.starts < FEWEST else f" beyond chance (p = {self.chance:.2g})"
             )
+        if not self.can_fall:
+            return f"{text}, too few successes to show a loss"
         if self.of == "success" and self.starts >= FEWEST:
             return f"{text}, no loss is shown; {FEWEST} lost starts would show one"
         return f"{text}, no loss is shown"

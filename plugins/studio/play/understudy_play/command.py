@@ -254,13 +254,17 @@ def _files_of(asked: str) -> list[Path]:
 
 def _from_own_starts(skill: Skill, options: argparse.Namespace) -> Rounding | None:
     """What rounding costs from the starts that were the skill's own before overrides gave it others; None where none
-    did, or its own are gone or do not go with the rest."""
+    did, or its own are gone, do not go with the rest, or are such that it succeeds from too few."""
     try:
         experiment = with_own_starts(skill, options.skill)
-        return experiment and enough_bits(skill, experiment, options.bits, _say)
+        found = experiment and enough_bits(skill, experiment, options.bits, _say)
     except UnderstudyError as error:
         tell(f"It is compared from the pack's starts, since from its own it cannot be: {error}")
         return None
+    if found and found.paired and not found.paired.can_fall:
+        tell("It is compared from the pack's starts, since from its own it has too little to lose.")
+        return None
+    return found
 
 
 def _say_banks(skill: Skill) -> None:
